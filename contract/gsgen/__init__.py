@@ -49,8 +49,8 @@ def _lazy_names(
     def import_name(name: str) -> object:
         if name not in module_by_name:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        home = import_module(module_by_name[name])
-        value: object = getattr(home, name, home)
+        home_module = import_module(module_by_name[name])
+        value: object = getattr(home_module, name, home_module)
         setattr(module, name, value)
         return value
 

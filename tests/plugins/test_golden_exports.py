@@ -156,7 +156,7 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
 
 
 def test_mistaken_export_options_are_explained(tmp_path: Path) -> None:
-    write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, united=True))
+    write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, is_single_file=True))
     words = ("--checkpoint", "run", "--iteration", "7", "-o", "x.onnx")
     completed = gsgen_here("export", "octree-gs", *words, cwd=tmp_path)
     assert completed.code == 2, completed.err
@@ -166,11 +166,11 @@ def test_mistaken_export_options_are_explained(tmp_path: Path) -> None:
 
 
 def test_unknown_appearance_is_refused(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
+    options = AnchorOptions(anchors=3, cameras=2, appearance=4, is_single_file=True)
     write_scaffold(tmp_path / "two", options)
     with pytest.raises(CheckpointInvalid, match="2 is not one of the 2 training cameras"):
         scaffold_gs_plugin.build(tmp_path / "two", appearance_id=2)
-    write_scaffold(tmp_path / "none", AnchorOptions(anchors=3, united=True))
+    write_scaffold(tmp_path / "none", AnchorOptions(anchors=3, is_single_file=True))
     with pytest.raises(CheckpointInvalid, match="no appearance embedding"):
         scaffold_gs_plugin.build(tmp_path / "none", appearance_id=0)
 
@@ -178,7 +178,7 @@ def test_unknown_appearance_is_refused(tmp_path: Path) -> None:
 def test_a_flag_that_is_not_honoured_is_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_octree(tmp_path, AnchorOptions(anchors=3, iteration=40000, united=True))
+    write_octree(tmp_path, AnchorOptions(anchors=3, iteration=40000, is_single_file=True))
     text = (tmp_path / "cfg_args").read_text()
     octree_gs_plugin.build(tmp_path)
     assert "warning" not in capsys.readouterr().err

@@ -35,8 +35,10 @@ class _ProgressLine:
                 self.display.remove_task(task_id)
             self.display.add_task(words, total=shown_count[1] if match else None)
             self.shown_count = shown_count
-        done = int(match["done"]) if match else None
-        self.display.update(self.display.task_ids[0], description=f"{words} …", completed=done)
+        completed_steps = int(match["done"]) if match else None
+        self.display.update(
+            self.display.task_ids[0], description=f"{words} …", completed=completed_steps
+        )
 
     def close(self) -> None:
         """Erase the progress line, and show the terminal's cursor again."""

@@ -115,7 +115,7 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     """Return the JSON that ``code`` prints in a child process, or a failed check."""
     failed_check = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
     try:
-        completed = subprocess.run(
+        finished_process = subprocess.run(
             [*python_command(), "-c", code],
             capture_output=True,
             encoding="utf-8",
@@ -124,10 +124,10 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
         )
     except subprocess.TimeoutExpired:
         return failed_check(detail=f"no answer after {_TIMEOUT} s")
-    if completed.returncode != 0:
-        last_line = completed.stderr.strip().splitlines()[-1:] or [
-            f"exit status {completed.returncode}"
+    if finished_process.returncode != 0:
+        last_line = finished_process.stderr.strip().splitlines()[-1:] or [
+            f"exit status {finished_process.returncode}"
         ]
         return failed_check(detail=last_line[0])
-    result: object = json.loads(completed.stdout.strip().splitlines()[-1])
+    result: object = json.loads(finished_process.stdout.strip().splitlines()[-1])
     return result

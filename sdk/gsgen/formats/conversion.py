@@ -46,7 +46,7 @@ class Conversion:
         degree: The SH degrees of the source and the target; None for points.
         sizes: The sizes of the sources together and of the target, in bytes. That of the sources
             is 0 if one of them is a tileset or an address.
-        lost: The dropped properties, in words.
+        lost_features: The dropped properties, in words.
         differences: The error of each kept quantity; empty for points.
         compared: Whether the written file was compared; not above ``MAX_COMPARED``.
     """
@@ -57,7 +57,7 @@ class Conversion:
     count: int
     degree: tuple[int, int] | None
     sizes: tuple[int, int]
-    lost: tuple[str, ...]
+    lost_features: tuple[str, ...]
     differences: tuple[Difference, ...]
     compared: bool = True
 
@@ -121,7 +121,7 @@ def convert(
     reduced = with_degree(splats, most_degree)
     degree = (splats.degree, reduced.degree)
     linear = splats.color_space == "linear"
-    lost = _lost_features(degree, codec, antialiased=splats.antialiased, linear=linear)
+    lost_features = _lost_features(degree, codec, antialiased=splats.antialiased, linear=linear)
     del splats
     step(f"writing {target}")
     make_folder(target)
@@ -138,7 +138,7 @@ def convert(
         count=len(reduced),
         degree=degree,
         sizes=(_total_bytes(sources), written_bytes(target)),
-        lost=lost,
+        lost_features=lost_features,
         differences=entries,
         compared=is_compared,
     )
@@ -171,7 +171,9 @@ def _convert_parts(
         count=count,
         degree=degrees,
         sizes=(written_bytes(parts.path), written_bytes(target)),
-        lost=_lost_features(degrees, codec, antialiased=parts.table.antialiased, linear=False),
+        lost_features=_lost_features(
+            degrees, codec, antialiased=parts.table.antialiased, linear=False
+        ),
         differences=(),
         compared=False,
     )
@@ -235,7 +237,7 @@ def _convert_points(
         count=len(points),
         degree=None,
         sizes=(size, written_bytes(target)),
-        lost=(),
+        lost_features=(),
         differences=(),
     )
 
@@ -243,13 +245,13 @@ def _convert_points(
 def _lost_features(
     degrees: tuple[int, int], codec: Codec, *, antialiased: bool, linear: bool
 ) -> tuple[str, ...]:
-    losses = []
+    lost_feature_names = []
     if degrees[1] < degrees[0]:
-        losses.append(f"harmonics above degree {degrees[1]}")
+        lost_feature_names.append(f"harmonics above degree {degrees[1]}")
     if antialiased and "antialiased" not in codec.keeps_flags:
-        losses.append("the flag that the splats are antialiased (Mip-Splatting)")
+        lost_feature_names.append("the flag that the splats are antialiased (Mip-Splatting)")
     if linear and "color_space" not in codec.keeps_flags:
-        losses.append("the flag that the colours are linear")
+        lost_feature_names.append("the flag that the colours are linear")
     if codec.order:
-        losses.append("the order of the splats")
-    return tuple(losses)
+        lost_feature_names.append("the order of the splats")
+    return tuple(lost_feature_names)

@@ -85,8 +85,8 @@ def looks_like_ksplat(head: bytes, size: int) -> bool:
     if size < FILE_HEADER_BYTES:
         return False
     major, minor, sections, _, _, _, level, *_ = _FILE_HEADER.unpack_from(head)
-    reserved = head[2:4] == b"\0\0"
-    known = (major, minor) == (0, 1) and reserved and level <= 2
+    is_reserved_zero = head[2:4] == b"\0\0"
+    known = (major, minor) == (0, 1) and is_reserved_zero and level <= 2
     return known and sections > 0 and FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES <= size
 
 

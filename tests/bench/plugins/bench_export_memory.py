@@ -35,7 +35,7 @@ def write_4dgaussians(folder: Path) -> list[str]:
 
 def write_anchors(folder: Path) -> list[str]:
     """Write as many anchors as the mean scene of MipNeRF360 has: 5.4 million Gaussians."""
-    options = AnchorOptions(anchors=541_000, per_anchor=10, width=32, united=True)
+    options = AnchorOptions(anchors=541_000, per_anchor=10, width=32, is_single_file=True)
     return ["scaffold-gs", "--checkpoint", str(write_scaffold(folder, options))]
 
 

@@ -157,13 +157,13 @@ def view() -> np.ndarray:
 
 
 def bench_scaffold_gs(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=100_000, per_anchor=10, width=32, united=True)
+    options = AnchorOptions(anchors=100_000, per_anchor=10, width=32, is_single_file=True)
     read = read_anchors(write_scaffold(tmp_path / "run", options))
     measure(ScaffoldGS(read.cloud, read.nets), {"camera": view()}, tmp_path)
 
 
 def bench_octree_gs(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=20_000, per_anchor=10, width=32, united=True)
+    options = AnchorOptions(anchors=20_000, per_anchor=10, width=32, is_single_file=True)
     read = read_anchors(write_octree(tmp_path / "run", options), octree=True)
     generator = OctreeGS(read.cloud, read.nets, Levels.of(read))
     measure(generator, {"camera": view()}, tmp_path)
@@ -245,7 +245,7 @@ def bench_sizes(tmp_path: Path) -> None:
 
 def sized(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
     """Yield generators of every family, at sizes where weights outweigh the graph."""
-    anchors = AnchorOptions(anchors=10_000, per_anchor=10, width=32, united=True)
+    anchors = AnchorOptions(anchors=10_000, per_anchor=10, width=32, is_single_file=True)
     scaffold = read_anchors(write_scaffold(folder / "scaffold", anchors))
     yield (
         "scaffold-gs",

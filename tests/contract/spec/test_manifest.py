@@ -182,7 +182,7 @@ def test_another_major_version_is_refused(version):
 def test_a_newer_minor_version_is_read_with_fields_that_are_not_known():
     gaussians = {"name": "g", "capacity": 4, "packing": "dense"}
     parsed = parse(text(contract="1.7", outputs={"gaussians": gaussians}, mood="good"))
-    assert parsed.newer
+    assert parsed.is_newer_version
     assert parsed.version == (1, 7)
     assert parsed.manifest is not None
     assert parsed.manifest.outputs == GeneratorOutputs(GaussiansOutput("g", 4))
@@ -198,7 +198,7 @@ def test_extension_fields_are_accepted_everywhere():
     parsed = parse(text(outputs={"gaussians": gaussians, "x-b": 1}, **{"x-c": "text"}))
     assert parsed.complaints == ()
     assert parsed.manifest is not None
-    assert not parsed.newer
+    assert not parsed.is_newer_version
 
 
 def test_writing_an_invalid_value_names_the_field():

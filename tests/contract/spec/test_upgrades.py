@@ -19,7 +19,7 @@ def test_manifest_of_a_development_build_is_read_as_1_0_with_every_field(manifes
     parsed = parse(json.dumps(document))
     assert parsed.complaints == ()
     assert parsed.manifest.contract == "1.0"
-    assert (parsed.manifest, parsed.version, parsed.newer) == (manifest, version, False)
+    assert (parsed.manifest, parsed.version, parsed.is_newer_version) == (manifest, version, False)
     assert upgrade(document, version) == document | {"contract": "1.0"}
 
 

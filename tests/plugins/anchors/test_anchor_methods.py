@@ -33,7 +33,7 @@ def options(rng: np.random.Generator, **fixed: object) -> AnchorOptions:
         "distance": tuple(bool(x) for x in rng.integers(0, 2, 3)),
         "appearance": appearance,
         "cameras": int(rng.integers(2, 6)) if appearance else 0,
-        "united": True,
+        "is_single_file": True,
         "seed": int(rng.integers(0, 1000)),
     }
     return AnchorOptions(**(settings | fixed))  # type: ignore[arg-type]
@@ -81,7 +81,7 @@ def test_octree_does_what_the_method_does(seed: int, mode: str, tmp_path: Path) 
 def test_a_fixed_appearance_is_the_chosen_one(kind: str, tmp_path: Path) -> None:
     write = write_scaffold if kind == "scaffold" else write_octree
     read = read_anchors(
-        write(tmp_path, AnchorOptions(cameras=4, appearance=6, united=True)),
+        write(tmp_path, AnchorOptions(cameras=4, appearance=6, is_single_file=True)),
         octree=kind == "octree",
     )
 
@@ -102,7 +102,7 @@ def test_a_fixed_appearance_is_the_chosen_one(kind: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
 def test_every_camera_gives_finite_outputs(kind: str, tmp_path: Path) -> None:
-    settings = AnchorOptions(bank=True, distance=(True, True, True), united=True)
+    settings = AnchorOptions(bank=True, distance=(True, True, True), is_single_file=True)
     if kind == "scaffold":
         read = read_anchors(write_scaffold(tmp_path, settings))
         generator: GaussianGenerator = ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED)
@@ -139,7 +139,7 @@ def test_the_prefilter_is_that_of_the_published_renderer(case: str) -> None:
 
 
 def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path) -> None:
-    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
+    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(is_single_file=True)))
     view = camera(np.random.default_rng(3), 1.0)
     lens, size = 2 * np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     unfiltered, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
@@ -160,7 +160,7 @@ def lens(width: float, height: float, focal: float) -> tuple[np.ndarray, np.ndar
 
 
 def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
-    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(anchors=500, united=True)))
+    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(anchors=500, is_single_file=True)))
     projection, _ = lens(64, 48, 1.5)
     rng, culled = np.random.default_rng(5), 0
     for distance in (0.3, 1.0, 2.0):
@@ -179,7 +179,7 @@ def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
 def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path: Path) -> None:
     settings = AnchorOptions(
         anchors=300, bank=True, distance=(True, True, True), cameras=2, appearance=3,
-        level=kind == "octree", united=True,
+        level=kind == "octree", is_single_file=True,
     )  # fmt: skip
     write = write_scaffold if kind == "scaffold" else write_octree
     read = read_anchors(write(tmp_path, settings), octree=kind == "octree")
@@ -214,7 +214,7 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path
 
 
 def test_gaussians_far_smaller_than_their_anchor_are_exported(tmp_path: Path) -> None:
-    folder = write_scaffold(tmp_path, AnchorOptions(anchors=6, per_anchor=2, united=True))
+    folder = write_scaffold(tmp_path, AnchorOptions(anchors=6, per_anchor=2, is_single_file=True))
     file = folder / "point_cloud/iteration_30000/checkpoints.pth"
     nets = torch.load(file, weights_only=True)
     shrunk = torch.tensor([-11.0, -13.0, -12.0, 0, 0, 0, 0]).repeat(2)
@@ -242,6 +242,6 @@ def test_proportions_of_tiny_gaussians_are_exact(logit: float) -> None:
 
 
 def test_limiting_anchors_requires_a_selection(tmp_path: Path) -> None:
-    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
+    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(is_single_file=True)))
     with pytest.raises(GsgenError, match="no culling selects the anchors"):
         ScaffoldGS(read.cloud, read.nets, selection=Selection(anchors=10))

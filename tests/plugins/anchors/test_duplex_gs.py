@@ -121,7 +121,7 @@ def test_cells_are_decoded_as_the_method_does(seed: int, mode: str, tmp_path: Pa
         width=4 * int(rng.integers(1, 6)),
         distance=tuple(bool(x) for x in rng.integers(0, 2, 3)),  # type: ignore[arg-type]
         level=bool(rng.integers(0, 2)),
-        united=True,
+        is_single_file=True,
         seed=seed,
     )
     settings = {"degree": int(rng.integers(0, 4)), "depth": bool(rng.integers(0, 2))}
@@ -146,7 +146,7 @@ def test_visibility_and_background_are_those_of_the_published_code() -> None:
     weighting = read.weighting
     assert weighting.sigma == pytest.approx(golden["meta_sigma"][0])
     assert weighting.background == pytest.approx(golden["meta_wbg"][0])
-    assert weighting.grade == pytest.approx(golden["meta_ET"])
+    assert weighting.opacity_divisor == pytest.approx(golden["meta_ET"])
     assert weighting.depth == golden["meta_depth_correct"]
     generator = DuplexGS(read, Levels.of(read.anchors), opacity="weighted")
     for index in range(3):
@@ -196,7 +196,9 @@ def cell_oracle(read: CellCheckpoint, view: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
-    options = AnchorOptions(anchors=40, per_anchor=int(rng.integers(1, 8)), united=True, seed=seed)
+    options = AnchorOptions(
+        anchors=40, per_anchor=int(rng.integers(1, 8)), is_single_file=True, seed=seed
+    )
     read = read_cells(write_duplex(tmp_path, options, degree=seed + 1, depth=seed != 1))
     levels = Levels.of(read.anchors)
     generator = DuplexGS(read, levels, blend="wsr")
@@ -204,7 +206,7 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
     assert declared_sum is not None
     assert (declared_sum.background, declared_sum.opacity_divisor) == (
         weighting.background,
-        weighting.grade,
+        weighting.opacity_divisor,
     )
     assert declared_sum.depth_range == (weighting.sigma if weighting.depth else None)
     for distance in (1.5, 6.0, 30.0):
@@ -226,13 +228,13 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
 
 
 def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
-    read = read_cells(write_duplex(tmp_path, AnchorOptions(united=True)))
+    read = read_cells(write_duplex(tmp_path, AnchorOptions(is_single_file=True)))
     with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"):
         DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
 
 
 def test_decoding_a_subset_of_cells_agrees_with_all(tmp_path: Path) -> None:
-    read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
+    read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, is_single_file=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     few_anchors = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
     all_cells = DuplexGS(read, levels, blend="wsr")
@@ -252,7 +254,7 @@ def test_decoding_a_subset_of_cells_agrees_with_all(tmp_path: Path) -> None:
 
 
 def test_max_cells_limits_the_decoded_cells(tmp_path: Path) -> None:
-    read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
+    read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, is_single_file=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     settings = {"opacity": "weighted", "selection": Selection("none", 29)}
     few_anchors, all_cells = (
@@ -273,7 +275,7 @@ def test_max_cells_limits_the_decoded_cells(tmp_path: Path) -> None:
 
 
 def test_options_of_another_run_are_refused(tmp_path: Path) -> None:
-    folder = write_duplex(tmp_path, AnchorOptions(united=True), degree=2)
+    folder = write_duplex(tmp_path, AnchorOptions(is_single_file=True), degree=2)
     cfg = folder / "cfg_args"
     cfg.write_text(cfg.read_text().replace("max_sh_degree=2", "max_sh_degree=3"))
     with pytest.raises(CheckpointInvalid, match=r"needs 15 .* has 8"):
@@ -282,7 +284,7 @@ def test_options_of_another_run_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, np.inf, np.nan])
 def test_a_scene_without_sigma_is_refused(sigma: float, tmp_path: Path) -> None:
-    folder = write_duplex(tmp_path, AnchorOptions(united=True), sigma=sigma)
+    folder = write_duplex(tmp_path, AnchorOptions(is_single_file=True), sigma=sigma)
     with pytest.raises(CheckpointInvalid, match="sigma"):
         read_cells(folder)
 

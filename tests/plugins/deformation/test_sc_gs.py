@@ -42,7 +42,7 @@ def test_nodes_carry_gaussians_as_the_method_does(
 
 def test_weights_are_the_same_in_parts(tmp_path: Path) -> None:
     read = read_sc_gs(write_sc_gs(tmp_path, count=9000, nodes=20))
-    points = torch.cat([read.canonical.position, read.hyper], dim=1)
+    points = torch.cat([read.canonical.position, read.hyper_features], dim=1)
     index, weight = node_weights(points, read.nodes, 3)
     assert torch.allclose(weight.sum(dim=1), torch.ones(9000, dtype=torch.float64))
     for start in (0, 8190, 8999):

@@ -29,7 +29,7 @@ def hills() -> torch.Tensor:
 def test_the_denoiser_takes_off_the_noise_of_its_timestep(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path, smoothing=True)
     model = denoiser_plugin.build(folder, size="64x64", values="unit", timestep=60)
-    signal_share, noise_share = model.fixed
+    signal_share, noise_share = model.fixed_shares
     noise = torch.randn(1, 3, 64, 64, generator=torch.Generator().manual_seed(1))
     noisy = ((2 * hills() - 1) * signal_share + noise_share * noise).clamp(-1, 1) * 0.5 + 0.5
     before, after = ((image - hills()).square().mean() for image in (noisy, model(noisy)))

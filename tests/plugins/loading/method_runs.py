@@ -39,7 +39,7 @@ from gsgen.reference_plugins.synthetic import (
 )
 
 FEW = AnchorOptions(anchors=5)
-UNITED = AnchorOptions(anchors=6, united=True)
+UNITED = AnchorOptions(anchors=6, is_single_file=True)
 PERSON = PersonOptions(count=4, nets=True)
 
 METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {

@@ -64,7 +64,7 @@ def test_paths_are_their_text_wherever_they_stand(tmp_path: Path) -> None:
     assert cfg.word("source_path", "") == "/data/my scene's"
     assert cfg.values["test"] == ["C:/x", ("a", {"k": "b"})]
     assert cfg.values["out-dir"] == "o"
-    assert not cfg.printed()
+    assert not cfg.printed_objects()
     assert read_cfg(tmp_path, "Namespace(a=WindowsPath('x'), b=Path('y'))").values == {
         "a": "x",
         "b": "y",
@@ -125,7 +125,7 @@ def test_objects_within_others_are_their_option_s_text(
 ) -> None:
     printed = Namespace(**options, odd=Odd(printed_text), listed=[1, Odd(printed_text)])
     cfg = read_cfg(tmp_path_factory.getbasetemp(), repr(printed))
-    assert cfg.printed() == {
+    assert cfg.printed_objects() == {
         "odd": PrintedObject(f"<{printed_text}>"),
         "listed": PrintedObject(f"[1, <{printed_text}>]"),
     }
@@ -163,7 +163,7 @@ def test_required_option_without_a_literal_is_refused(
             raise
         return
     assert cfg.integer("b", 0) == 2
-    assert list(cfg.printed()) == ["a", "c-d"]
+    assert list(cfg.printed_objects()) == ["a", "c-d"]
     for read_option in (
         lambda: cfg.flag("a"),
         lambda: cfg.word("a", ""),

@@ -47,7 +47,7 @@ class Evil:
 
 
 def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
-    run = write_scaffold(tmp_path, AnchorOptions(anchors=4, united=True))
+    run = write_scaffold(tmp_path, AnchorOptions(anchors=4, is_single_file=True))
     (united_options,) = run.rglob("checkpoints.pth")
     change(united_options, lambda nets: nets.update(vi_mlp=nets["cov_mlp"]))
     read_anchors(run)
@@ -181,7 +181,9 @@ def test_a_script_archive_is_read_as_torch_reads_it(tmp_path: Path) -> None:
 def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
     options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
     many_files = read_anchors(write_scaffold(tmp_path / "many", options)).nets
-    united_options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2, united=True)
+    united_options = AnchorOptions(
+        anchors=4, bank=True, cameras=3, appearance=2, is_single_file=True
+    )
     first = read_anchors(write_scaffold(tmp_path / "one", united_options)).nets
     assert many_files.bank is not None
     assert first.bank is not None
@@ -221,7 +223,7 @@ def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Pat
     first = save is _as_first  # which knew no appearances, and always the distance
     options = AnchorOptions(
         anchors=4, bank=True, distance=(True, True, True), cameras=0 if first else 3,
-        appearance=0 if first else 2, united=True,
+        appearance=0 if first else 2, is_single_file=True,
     )  # fmt: skip
     expected = read_anchors(write_scaffold(tmp_path, options)).nets
     if first:
@@ -325,7 +327,7 @@ def test_a_head_that_is_off_may_be_missing(tmp_path: Path) -> None:
 
 
 def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=6, per_anchor=7, united=True)
+    options = AnchorOptions(anchors=6, per_anchor=7, is_single_file=True)
     expected = read_anchors(write_scaffold(tmp_path, options)).cloud
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     names = ply_properties(ply)
@@ -349,14 +351,19 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
     ],
 )
 def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Path) -> None:
-    write_scaffold(tmp_path, AnchorOptions(anchors=3, united=True))
+    write_scaffold(tmp_path, AnchorOptions(anchors=3, is_single_file=True))
     with pytest.raises(CheckpointInvalid, match=words):
         read_anchors(cfg(tmp_path, f"Namespace({text})"))
 
 
 def test_without_options_inputs_are_inferred_from_networks(tmp_path: Path) -> None:
     options = AnchorOptions(
-        anchors=3, bank=True, distance=(True, False, True), cameras=2, appearance=3, united=True
+        anchors=3,
+        bank=True,
+        distance=(True, False, True),
+        cameras=2,
+        appearance=3,
+        is_single_file=True,
     )
     write_scaffold(tmp_path, options)
     (tmp_path / "cfg_args").unlink()
@@ -397,7 +404,7 @@ def test_a_missing_file_is_named(missing: str, tmp_path: Path) -> None:
 
 
 def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
-    write_scaffold(tmp_path, AnchorOptions(anchors=3, united=True))
+    write_scaffold(tmp_path, AnchorOptions(anchors=3, is_single_file=True))
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     data = bytearray(ply.read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
@@ -407,7 +414,7 @@ def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
 
 
 def test_offsets_are_stored_axis_by_axis(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=4, per_anchor=3, united=True)
+    options = AnchorOptions(anchors=4, per_anchor=3, is_single_file=True)
     cloud = read_anchors(write_scaffold(tmp_path, options)).cloud
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     for k in range(3):

@@ -141,13 +141,13 @@ def test_a_flat_camera_is_magnified_in_place_of_coming_nearer() -> None:
 def test_keys_move_along_their_axes(key: str) -> None:
     controller = controls()
     before = controller.camera(*SIZE)
-    assert controller.fly(frozenset({key}), 0.5, fast=False)
+    assert controller.fly(frozenset({key}), 0.5, is_fast=False)
     slow = before.view[:3, :3] @ (controller.eye - before.eye)
     np.testing.assert_allclose(slow, 0.25 * np.array(CAMERA_KEYS[key]), atol=1e-12)
-    assert controller.fly(frozenset({key}), 0.5, fast=True)
+    assert controller.fly(frozenset({key}), 0.5, is_fast=True)
     both = before.view[:3, :3] @ (controller.eye - before.eye)
     assert np.linalg.norm(both) > 4 * np.linalg.norm(slow)
-    assert not controller.fly(frozenset({"z"}), 0.5, fast=False)
+    assert not controller.fly(frozenset({"z"}), 0.5, is_fast=False)
 
 
 def test_focus_turns_to_a_point_and_then_around_it() -> None:
@@ -165,7 +165,7 @@ def test_focus_turns_to_a_point_and_then_around_it() -> None:
 def test_framing_centres_the_scene_and_reset_restores_the_camera() -> None:
     controller = controls()
     first = controller.camera(*SIZE)
-    controller.fly(frozenset("wd"), 3, fast=True)
+    controller.fly(frozenset("wd"), 3, is_fast=True)
     controller.orbit(100, 10)
     turn = controller.camera(*SIZE).view[:3, :3]
     controller.frame()

@@ -220,7 +220,7 @@ def test_cells_of_both_devices_are_compared(
     gpu["cells"][cell, column] += factor
     frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
     live = LiveLevel(
-        subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,)
+        subject=subject, adapter="a", nodes=(), is_capture_accepted=True, stop=None, frames=(frame,)
     )
     actual = [disagreement for disagreement, _, _ in disagreements(live)]
     assert actual == ([f"field {field}"] if field else [])

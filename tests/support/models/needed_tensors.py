@@ -136,10 +136,10 @@ def of_nodes(read: ScGsCheckpoint) -> int:
     """SC-GS: Gaussians with hyper coordinates, nodes, and the network of the nodes."""
     nodes, net = read.nodes, read.nodes.net
     layers = [*net.layers, *net.warp, *(net.time or ()), net.rotation, net.scaling]
-    control = (nodes.position, nodes.hyper, nodes.log_radius, nodes.logit_weight)
+    control = (nodes.position, nodes.hyper_features, nodes.log_radius, nodes.logit_weight)
     return (
         _canonical(read.canonical)
-        + _sum([read.hyper.expand(len(read.canonical), -1), *control])
+        + _sum([read.hyper_features.expand(len(read.canonical), -1), *control])
         + _sum(tensor for layer in layers for tensor in layer)
     )
 

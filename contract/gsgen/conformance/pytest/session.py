@@ -112,8 +112,8 @@ class ConformanceSession:
     def run(self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]) -> ModelRun:
         """Validate a model once per pytest session, and return the result."""
         entries = tuple(expected)
-        stat = path.stat() if path.is_file() else None
-        version = (stat.st_mtime_ns, stat.st_size) if stat else ()
+        file_stat = path.stat() if path.is_file() else None
+        version = (file_stat.st_mtime_ns, file_stat.st_size) if file_stat else ()
         key = (path.resolve(), version, repr(settings), entries)
         if key not in self._run_by_key:
             self._run_by_key[key] = self._validate_safely(path, settings, entries)

@@ -55,7 +55,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
         raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
     cases = [_check_case(kit, pictures, case, index) for case in index["cases"]]
     failed = {case["name"] for case in cases if case["verdict"] == "failed"}
-    differing = {case["name"] for case in cases if any(map(_differs, case["frames"]))}
+    differing_cases = {case["name"] for case in cases if any(map(_differs, case["frames"]))}
     frames = [frame for case in cases for frame in case["frames"]]
     causes = [frame.get("cause") for frame in frames]
     return {
@@ -69,7 +69,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
         },
         "tolerance": index["tolerance"],
         "tolerance_8_bits": _tolerance(index, is_png=True),
-        "faults": suspected_faults(index, differing, failed - differing),
+        "faults": suspected_faults(index, differing_cases, failed - differing_cases),
         "cases": cases,
     }
 
@@ -200,10 +200,10 @@ def _check_case(
     kit: Path, pictures: Path, case: dict[str, Any], index: dict[str, Any]
 ) -> dict[str, Any]:
     frames = [_check_frame(kit, pictures, frame["picture"], index) for frame in case["frames"]]
-    passed = all(frame["verdict"] == "passed" for frame in frames)
+    has_passed = all(frame["verdict"] == "passed" for frame in frames)
     return {
         "name": case["name"],
-        "verdict": "passed" if passed else "failed",
+        "verdict": "passed" if has_passed else "failed",
         "tests": case["tests"],
         "frames": frames,
     }
@@ -236,22 +236,22 @@ def compare(
     max_difference = difference.max(axis=2)
     share = float((max_difference > tolerance["pixel"]).mean())
     mean = float(difference.mean())
-    exceeded = []
+    exceeded_tolerances = []
     if share > tolerance["share"]:
         percent, max_allowed = 100 * share, 100 * tolerance["share"]
         words = f"{_exceeding_text(percent, max_allowed)} % of the pixels differ by more than "
         words += f"{tolerance['pixel']:.3g}, expected at most {max_allowed:g} %"
-        exceeded.append(_exceeded_entry("share", share, tolerance, words))
+        exceeded_tolerances.append(_exceeded_entry("share", share, tolerance, words))
     if mean > tolerance["mean"]:
         max_allowed = tolerance["mean"]
         words = f"mean difference {_exceeding_text(mean, max_allowed)}, expected at most {max_allowed:g}"
-        exceeded.append(_exceeded_entry("mean", mean, tolerance, words))
+        exceeded_tolerances.append(_exceeded_entry("mean", mean, tolerance, words))
     return {
-        "verdict": "failed" if exceeded else "passed",
+        "verdict": "failed" if exceeded_tolerances else "passed",
         "max": float(max_difference.max()),
         "mean": mean,
         "share": share,
-        "exceeded": exceeded,
+        "exceeded": exceeded_tolerances,
     }
 
 

@@ -136,8 +136,8 @@ def decode_png(raw: bytes) -> np.ndarray:
             f"the picture of {width}×{height} pixels takes {(size + 1) * height:,} bytes, "
             f"expected at most {_MAX_BYTES:,}"
         )
-    inflated = _inflate(chunks.get(b"IDAT", b""), (size + 1) * height)
-    lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)
+    inflated_bytes = _inflate(chunks.get(b"IDAT", b""), (size + 1) * height)
+    lines = np.frombuffer(inflated_bytes, np.uint8).reshape(height, size + 1)
     return _undo_filter(lines, _CHANNELS_BY_COLOR_TYPE[color]).reshape(
         height, width, _CHANNELS_BY_COLOR_TYPE[color]
     )
@@ -146,15 +146,15 @@ def decode_png(raw: bytes) -> np.ndarray:
 def _inflate(data: bytes, size: int) -> bytes:
     """Decompress ``size`` bytes of a PNG's pixels."""
     try:
-        inflated = zlib.decompressobj().decompress(data, max(size, 1))
+        inflated_bytes = zlib.decompressobj().decompress(data, max(size, 1))
     except zlib.error as error:
         raise PictureUnreadable("the PNG is damaged: its pixels cannot be decompressed") from error
-    if len(inflated) != size or not size:
+    if len(inflated_bytes) != size or not size:
         raise PictureUnreadable(
-            f"the PNG is cut or damaged: it holds {len(inflated):,} bytes of pixels, "
+            f"the PNG is cut or damaged: it holds {len(inflated_bytes):,} bytes of pixels, "
             f"expected {size:,}"
         )
-    return inflated
+    return inflated_bytes
 
 
 def _undo_filter(lines: np.ndarray, step: int) -> np.ndarray:
@@ -186,9 +186,9 @@ def _undo_prediction(
         if method == 3:
             predicted = (left_value + upper_value) // 2
         else:
-            estimate = left_value + upper_value - upper_left
+            paeth_estimate = left_value + upper_value - upper_left
             predicted = min(
-                (left_value, upper_value, upper_left), key=lambda value: abs(estimate - value)
+                (left_value, upper_value, upper_left), key=lambda value: abs(paeth_estimate - value)
             )
         current_line.append((difference + predicted) & 255)
     return current_line[step:]

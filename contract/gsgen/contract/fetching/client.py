@@ -77,25 +77,25 @@ class WebClient:
     errors are not read.
 
     Args:
-        home: An address of the origin.
+        home_address: An address of the origin.
         seconds: For each file; ``GSGEN_FETCH_SECONDS``, or else 60, where absent.
         headers: Sent to the origin, and to no other.
         allow_origins: Other origins that redirects may lead to.
 
     Raises:
-        AddressRefused: ``home`` is malformed.
+        AddressRefused: ``home_address`` is malformed.
         ConfigInvalid: An allowed origin or ``GSGEN_FETCH_SECONDS`` is malformed.
     """
 
     def __init__(
         self,
-        home: str,
+        home_address: str,
         *,
         seconds: float | None = None,
         headers: Mapping[str, str] | None = None,
         allow_origins: Sequence[str] = (),
     ) -> None:
-        self._home = _parse(home).origin
+        self._home = _parse(home_address).origin
         self._allowed = {self._home} | {
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }

@@ -68,9 +68,9 @@ class Deadline:
 
     def within(self, seconds: float) -> "Deadline":
         """Return the earlier of this deadline and one some seconds from now."""
-        earlier = Deadline(seconds)
-        earlier._end = min(earlier._end, self._end)
-        return earlier
+        earlier_deadline = Deadline(seconds)
+        earlier_deadline._end = min(earlier_deadline._end, self._end)
+        return earlier_deadline
 
 
 @final

@@ -295,13 +295,13 @@ def _remove_stubs(graph: GraphProto) -> list[TensorProto]:
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
     weights = list(graph.initializer)
-    stubs = [tensor for tensor in weights if _is_stub(tensor)]
-    if stubs:
+    stub_weights = [tensor for tensor in weights if _is_stub(tensor)]
+    if stub_weights:
         del graph.initializer[:]
         graph.initializer.extend(tensor for tensor in weights if not _is_stub(tensor))
-    stubs += [_to_dense(sparse) for sparse in graph.sparse_initializer]
+    stub_weights += [_to_dense(sparse) for sparse in graph.sparse_initializer]
     del graph.sparse_initializer[:]
-    return stubs
+    return stub_weights
 
 
 def _to_dense(sparse: SparseTensorProto) -> TensorProto:

@@ -19,8 +19,8 @@ def installed_bounds() -> tuple[int, int]:
     return opset, _highest_supported(_OLD_IR, lambda version: _loads(_OLD_OPSET, version))
 
 
-def _highest_supported(first: int, loads: Callable[[int], bool]) -> int:
-    return next(version for version in count(first) if not loads(version + 1))
+def _highest_supported(first: int, can_load: Callable[[int], bool]) -> int:
+    return next(version for version in count(first) if not can_load(version + 1))
 
 
 def _loads(opset: int, ir_version: int) -> bool:

@@ -134,11 +134,11 @@ class _Builder:
             raise WireFault(start, f"graphs are nested more than {_MAX_DEPTH} deep")
         if kind == "Tensor":
             return self._tensor(start, end)
-        nested = _NESTED_MESSAGES[kind]
+        nested_kind = _NESTED_MESSAGES[kind]
         parts: list[bytes] = []
         for field in scan(self.data, start, end):
             self._count(field.start)
-            inner_message = nested.get(field.number)
+            inner_message = nested_kind.get(field.number)
             if (
                 inner_message is None
                 or field.wire_type != BYTES

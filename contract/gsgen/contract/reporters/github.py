@@ -59,8 +59,8 @@ def _escape_data(text: str) -> str:
 
 
 def _escape_property(text: str) -> str:
-    escaped = printable(text).replace("##[", "## [").replace("%", "%25")
-    return escaped.replace(":", "%3A").replace(",", "%2C")
+    escaped_text = printable(text).replace("##[", "## [").replace("%", "%25")
+    return escaped_text.replace(":", "%3A").replace(",", "%2C")
 
 
 def _without_commands(text: str) -> str:

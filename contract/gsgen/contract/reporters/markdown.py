@@ -100,11 +100,11 @@ def code(text: str) -> str:
     """Return ``text`` as a Markdown code span whose fence does not occur in the text."""
     printable_text = printable(text)
     longest_run = max((len(run) for run in re.findall("`+", printable_text)), default=0)
-    fence = "`" * (longest_run + 1)
+    code_fence = "`" * (longest_run + 1)
     padding = (
         " " if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ") else ""
     )
-    return f"{fence}{padding}{printable_text}{padding}{fence}"
+    return f"{code_fence}{padding}{printable_text}{padding}{code_fence}"
 
 
 def _escape_markdown(text: str) -> str:

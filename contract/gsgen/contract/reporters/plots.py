@@ -14,11 +14,11 @@ _MARGIN_FRACTION = 0.15
 
 def histogram(distribution: Distribution, name: str) -> str:
     """Return an SVG histogram of the values that a rule checked, valid and invalid ones stacked."""
-    bars = list(zip(distribution.valid, distribution.invalid, strict=True))
-    max_count = max(valid + invalid for valid, invalid in bars)
-    width = (_WIDTH - 2 * _MARGIN_PIXELS) / len(bars)
+    bin_counts = list(zip(distribution.valid, distribution.invalid, strict=True))
+    max_count = max(valid + invalid for valid, invalid in bin_counts)
+    width = (_WIDTH - 2 * _MARGIN_PIXELS) / len(bin_counts)
     parts = []
-    for number, (valid, invalid) in enumerate(bars):
+    for number, (valid, invalid) in enumerate(bin_counts):
         left, stack_top = _MARGIN_PIXELS + number * width, float(_BASELINE_Y)
         for count, kind in ((valid, "valid"), (invalid, "invalid")):
             height = (_BASELINE_Y - _MARGIN_PIXELS) * count / max(max_count, 1)
@@ -71,7 +71,7 @@ def _label(left: float, anchor: str, text: str, top: float = 114) -> str:
 
 
 def _svg(parts: list[str], label: str) -> str:
-    caption = escape(label)
+    label_html = escape(label)
     size = f'viewBox="0 0 {_WIDTH} {_PLOT_HEIGHT}"'
-    image = f'<svg role="img" aria-label="{caption}" {size}>{"".join(parts)}</svg>'
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+    image = f'<svg role="img" aria-label="{label_html}" {size}>{"".join(parts)}</svg>'
+    return f"<figure>{image}<figcaption>{label_html}</figcaption></figure>"

@@ -51,13 +51,13 @@ class Parsed:
         manifest: The manifest, or None where a complaint prevents reading it.
         complaints: Every fault, sorted by location.
         version: The version it declares, as (major, minor), where readable.
-        newer: Whether it declares a newer minor version than this reader knows.
+        is_newer_version: Whether it declares a newer minor version than this reader knows.
     """
 
     manifest: Manifest | None
     complaints: tuple[Complaint, ...] = ()
     version: Version | None = None
-    newer: bool = False
+    is_newer_version: bool = False
 
 
 def schema_name(kind: str) -> str:
@@ -129,16 +129,16 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
         return _failed_parse(
             "schema", "kind", _shorten(kind), f"one of {', '.join(MANIFEST_KINDS)}"
         )
-    newer = version > CURRENT_VERSION and version not in UPGRADE_BY_VERSION
+    is_newer_version = version > CURRENT_VERSION and version not in UPGRADE_BY_VERSION
     document = upgrade(document, version)
     faults = list(schema_faults(document, _published_schema(kind)))
-    if newer:  # a newer minor may have fields that this reader does not know
+    if is_newer_version:  # a newer minor may have fields that this reader does not know
         faults = [fault for fault in faults if fault.validator != "additionalProperties"]
     complaints = tuple(_complaint_from_fault(fault) for fault in sorted(faults, key=_fault_path))
     if complaints:
-        return Parsed(None, complaints, version, newer)
+        return Parsed(None, complaints, version, is_newer_version)
     manifest: Manifest = from_json(manifest_type(kind), document)
-    return Parsed(manifest, (), version, newer)
+    return Parsed(manifest, (), version, is_newer_version)
 
 
 def loads(text: str) -> Manifest:

@@ -154,8 +154,10 @@ class _Validation:
         level = self.settings.level
         if level < Level.VALUES:
             return
-        gates = _in_dependency_order(self._rules_of_scope("execution", max_level=Level.VALUES))
-        if not self._require_runnable(gates):
+        prerequisite_rules = _in_dependency_order(
+            self._rules_of_scope("execution", max_level=Level.VALUES)
+        )
+        if not self._require_runnable(prerequisite_rules):
             return
         plan = make_plan(self.subject, level, self.settings.seed)
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
@@ -172,7 +174,7 @@ class _Validation:
             first = plan.values + len(plan.trials.get("away", ()))
             self.runs = {Level.VALUES: seconds[:first], Level.BEHAVIOUR: seconds[first:]}
             probe_runs = ProbeRuns(self.subject, execution, plan)
-            for rule in gates:
+            for rule in prerequisite_rules:
                 if self.results.is_ready(rule):
                     self.results.check(rule, probe_runs)
                     self.results.settle([rule], items=len(execution.runs))
@@ -183,13 +185,13 @@ class _Validation:
                     self._check_behaviour(probe_runs)
                 self._check_backend_levels(probe_runs)
 
-    def _require_runnable(self, gates: list[Rule]) -> bool:
+    def _require_runnable(self, prerequisite_rules: list[Rule]) -> bool:
         """Return whether the model may be run; otherwise skip the rules that need outputs."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
         else:
-            gate = next(rule for rule in gates if rule.id in (MODEL_RUNS, *runs.needs))
+            gate = next(rule for rule in prerequisite_rules if rule.id in (MODEL_RUNS, *runs.needs))
             gate_is_ready = self.results.is_ready(
                 gate
             )  # its needs are static rules, which are settled

@@ -284,8 +284,8 @@ class Registry:
                 return entry
         typed_match = _TYPED_ID_PATTERN.fullmatch(name)
         if typed_match is None:
-            slugs = [entry.slug for entry in self.rules.values()]
-            raise UnknownName.among("rule", name, slugs, where)
+            rule_slugs = [entry.slug for entry in self.rules.values()]
+            raise UnknownName.among("rule", name, rule_slugs, where)
         hint = _nearest_id(typed_match[1], int(typed_match[2]), list(self.rules))
         raise UnknownName(f"unknown rule {name!r}", where=where, hint=hint)
 

@@ -197,7 +197,7 @@ def read_nets(
     states = _states(iteration_folder)
     path, state = states.get("embedding", (iteration_folder, {}))
     embedding = _embedding(path, state, cfg) if state else None
-    appearance = cfg.integer("appearance_dim", 0) if cfg.present else 0
+    appearance = cfg.integer("appearance_dim", 0) if cfg.file_exists else 0
     if embedding is not None:
         appearance = embedding.shape[1]
     elif appearance > 0:

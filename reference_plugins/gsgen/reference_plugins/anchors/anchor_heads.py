@@ -51,7 +51,7 @@ class _Layers(nn.Module):
         columns = mlp.out.shape[0] // (per_anchor * parts)
         shaped_weight = mlp.out.reshape(per_anchor, parts, columns, -1)
         biases = mlp.out_bias.reshape(per_anchor, parts, columns)
-        self.outs = nn.ModuleList(
+        self.output_layers = nn.ModuleList(
             Dense(shaped_weight[:, part].flatten(0, 1), biases[:, part].flatten())
             for part in range(parts)
         )
@@ -60,7 +60,7 @@ class _Layers(nn.Module):
         """Apply two dense layers; a given bias replaces that of the first layer."""
         first = self.hidden
         hidden = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
-        return [out(hidden) for out in self.outs]
+        return [out(hidden) for out in self.output_layers]
 
 
 class AnchorHeads(nn.Module):

@@ -58,7 +58,7 @@ class Weighting:
 
     sigma: float  # the depth at which a weight falls to 0
     background: float  # weight of the background: ReLU of the stored number, plus 0.1
-    grade: float  # divisor of opacities in the transmittance
+    opacity_divisor: float  # divisor of opacities in the transmittance
     depth: bool  # whether weights fall with depth
 
 
@@ -131,15 +131,21 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
     if len(info) < _INFO_FIELDS:
         message = f"has {len(info)} cells, expected at least {_INFO_FIELDS} for the numbers of info"
         raise CheckpointInvalid(message, where=str(path))
-    sigma, background, grade = (_shortest_decimal(float(value)) for value in info[2:_INFO_FIELDS])
-    if not (sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))):
+    sigma, background, opacity_divisor = (
+        _shortest_decimal(float(value)) for value in info[2:_INFO_FIELDS]
+    )
+    if not (
+        sigma > 0
+        and opacity_divisor > 0
+        and all(map(math.isfinite, (sigma, background, opacity_divisor)))
+    ):
         message = (
             f"info is {info[:_INFO_FIELDS].tolist()}, expected finite numbers, "
             "and sigma and ET_grade above 0"
         )
         raise CheckpointInvalid(message, where=str(path))
     weight = _shortest_decimal(max(background, 0.0) + _MIN_BACKGROUND)
-    return Weighting(sigma, weight, grade, cfg.flag("depth_correct"))
+    return Weighting(sigma, weight, opacity_divisor, cfg.flag("depth_correct"))
 
 
 def _shortest_decimal(value: float) -> float:
@@ -155,5 +161,5 @@ def describe_cells(checkpoint: CellCheckpoint) -> str:
     degree = round(checkpoint.visibility.shape[1] ** 0.5) - 1
     return (
         f"{text}, visibility of degree {degree}; weighted sum{depth}, background "
-        f"{weighting.background:.4g}, ET {weighting.grade:.4g}"
+        f"{weighting.background:.4g}, ET {weighting.opacity_divisor:.4g}"
     )

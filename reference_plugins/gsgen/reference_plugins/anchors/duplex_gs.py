@@ -88,7 +88,9 @@ class DuplexGS(AnchorGenerator):
         weighting = checkpoint.weighting
         self.sigma = weighting.sigma if weighting.depth else None
         if blend == "wsr":
-            self.weighted_sum = WeightedSum(weighting.background, self.sigma, weighting.grade)
+            self.weighted_sum = WeightedSum(
+                weighting.background, self.sigma, weighting.opacity_divisor
+            )
         if self.weighted or self.weighted_sum is not None:
             self.register_buffer("visibility", checkpoint.visibility)
 

@@ -87,8 +87,8 @@ class _Limits(nn.Module):
         cell = 0.5 * levels.voxel * torch.exp(-logarithm * level)
         cell_center = anchor + cell if self.half_cell else anchor
         start = self.extra - level
-        growth = torch.exp(2 * logarithm * (start + LEVEL_ROUNDING[levels.mode]))
-        squared_distance = (levels.standard**2 * growth).clamp(max=_ALWAYS_VISIBLE)
+        level_growth = torch.exp(2 * logarithm * (start + LEVEL_ROUNDING[levels.mode]))
+        squared_distance = (levels.standard**2 * level_growth).clamp(max=_ALWAYS_VISIBLE)
         first = (level <= 0).to(squared_distance.dtype)
         squared_distance = squared_distance * (1 - first) + _ALWAYS_VISIBLE * first
         is_too_deep = (level > levels.top).to(squared_distance.dtype)

@@ -46,7 +46,7 @@ def build(
 
     saved_anchors = read_anchors(checkpoint, iteration)
     report_checkpoint(describe_anchors(saved_anchors), saved_anchors.run.cfg)
-    if not saved_anchors.run.cfg.present:
+    if not saved_anchors.run.cfg.file_exists:
         note(
             f"note: {saved_anchors.run.cfg.path} is missing; its flags follow from the networks' shapes"
         )

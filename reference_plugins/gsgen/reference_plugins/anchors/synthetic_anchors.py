@@ -39,7 +39,7 @@ class AnchorOptions:
     level: bool = False  # whether the level is an input of all networks (Octree-GS)
     cameras: int = 0  # training cameras, each with an appearance
     appearance: int = 0  # length of an appearance vector; 0 for no appearances
-    united: bool = False  # write all networks to one file of state dicts
+    is_single_file: bool = False  # write all networks to one file of state dicts
     iteration: int = 30000  # number of the iteration
     seed: int = 0  # seed of all random numbers
 
@@ -183,12 +183,12 @@ def _write_run(
 def write_networks(iteration_folder: Path, options: AnchorOptions, *, octree: bool = True) -> None:
     """Write random networks of an anchor method; with ``octree``, as Octree-GS has them."""
     networks = _networks(options, octree=octree)
-    if options.united:
-        united = {
+    if options.is_single_file:
+        is_single_file = {
             {"embedding_appearance": "appearance"}.get(name, name): network.state_dict()
             for name, network in networks.items()
         }
-        torch.save(united, iteration_folder / "checkpoints.pth")
+        torch.save(is_single_file, iteration_folder / "checkpoints.pth")
         return
     for name, network in networks.items():
         _save_script(network, iteration_folder / f"{name}.pt")

@@ -65,7 +65,7 @@ HandsOption = Annotated[
 
 def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
     """Warn if a method's published code would use another body model than the given file."""
-    if not cfg.present:
+    if not cfg.file_exists:
         note(f"note: {cfg.path} does not exist; a neutral {body.kind} body is assumed")
     if body.kind == "SMPL":
         meaning_text = (

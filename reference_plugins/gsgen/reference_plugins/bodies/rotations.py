@@ -66,12 +66,12 @@ def nearest_rotation(
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
     wx, wy, wz = zy - yz, xz - zx, yx - xy
-    bxy, bxz, byz = yx + xy, xz + zx, yz + zy
+    sum_xy, sum_xz, sum_yz = yx + xy, xz + zx, yz + zy
     candidates = [
         (squares[0], wx, wy, wz),
-        (wx, squares[1], bxy, bxz),
-        (wy, bxy, squares[2], byz),
-        (wz, bxz, byz, squares[3]),
+        (wx, squares[1], sum_xy, sum_xz),
+        (wy, sum_xy, squares[2], sum_yz),
+        (wz, sum_xz, sum_yz, squares[3]),
     ]
     stacked = [torch.stack(components, dim=1) for components in candidates]
     best_norm, first_best = _choose_larger(squares[0], squares[1], stacked[0], stacked[1])

@@ -34,9 +34,9 @@ def posed_transforms(
     """
     bodies, count = rotations.shape[:2]
     # All bodies form one forest, so their chains are multiplied in the same rounds.
-    forest = [p if p < 0 else p + count * body for body in range(bodies) for p in parents]
+    parent_forest = [p if p < 0 else p + count * body for body in range(bodies) for p in parents]
     rest_joints = joints if bodies == 1 else torch.cat([joints] * bodies, dim=0)
-    transforms = skinning_transforms(rotations.reshape(-1, 3, 3), rest_joints, forest)
+    transforms = skinning_transforms(rotations.reshape(-1, 3, 3), rest_joints, parent_forest)
     transforms = transforms.reshape(bodies, count, 3, 4)
     if root_rotation is not None:
         transforms = root_rotation[:, None] @ transforms

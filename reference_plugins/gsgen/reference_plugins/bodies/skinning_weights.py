@@ -159,12 +159,12 @@ def inverse(matrix: Float[Tensor, "1 3 4 n"]) -> Float[Tensor, "1 3 3 n"]:
     With cyclic indices, C[i, j] = M[i+1, j+1] M[i+2, j+2] − M[i+1, j+2] M[i+2, j+1]; the
     inverse is Cᵀ over the determinant.
     """
-    second, third = (
+    second, third_row = (
         torch.cat([matrix[:, shift:, :3], matrix[:, :shift, :3]], dim=1) for shift in (1, 2)
     )
     next_columns, second_columns = (
         [torch.cat([rows[:, :, shift:], rows[:, :, :shift]], dim=2) for shift in (1, 2)]
-        for rows in (second, third)
+        for rows in (second, third_row)
     )
     cofactors = next_columns[0] * second_columns[1] - next_columns[1] * second_columns[0]
     determinant = (matrix[:, 0, :3] * cofactors[:, 0]).sum(dim=1)[:, None, None]

@@ -58,9 +58,9 @@ def _turn(poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "
     poses[:, 3 * joint : 3 * joint + 3] += turn.T
 
 
-def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
+def _arm(swing_angles: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
     """Return the axis-angle of a shoulder for a hanging arm that swings about x."""
-    half_swing, half_down = swing / 2, -sign * _ARM_DOWN_ANGLE / 2
+    half_swing, half_down = swing_angles / 2, -sign * _ARM_DOWN_ANGLE / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
     w = np.cos(half_swing) * np.cos(half_down)
     vector = np.stack(

@@ -40,7 +40,7 @@ def build(
 
     read = read_deformation(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
-    if not read.run.cfg.present:
+    if not read.run.cfg.file_exists:
         note(f"note: {read.run.cfg.path} is missing; the variant follows from the network's shapes")
     if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")

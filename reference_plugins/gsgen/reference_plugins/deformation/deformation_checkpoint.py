@@ -122,17 +122,17 @@ def read_layers(
     width, count = first.shape[0], len(layers)
     skip = count // 2 + 1
     blender = "timenet.0.weight" in state
-    embedded = first.shape[1] if blender else _POINT_INPUTS + _TIME
+    embedding_size = first.shape[1] if blender else _POINT_INPUTS + _TIME
     expected: dict[str, Shape] = {}
     for layer in range(count):
-        inputs = embedded if layer == 0 else width + (embedded if layer == skip else 0)
+        inputs = embedding_size if layer == 0 else width + (embedding_size if layer == skip else 0)
         expected |= linear_shapes(f"linear.{layer}", inputs, width)
     if blender:
         expected |= linear_shapes("timenet.0", _BLENDER_TIME, None)
-        expected |= linear_shapes("timenet.2", None, embedded - _POINT_INPUTS)
+        expected |= linear_shapes("timenet.2", None, embedding_size - _POINT_INPUTS)
     for name, outputs in {**warp, "gaussian_rotation": 4, "gaussian_scaling": 3}.items():
         expected |= linear_shapes(name, width, outputs)
-    expected |= further_shapes(embedded, width)
+    expected |= further_shapes(embedding_size, width)
     read = require_tensors(path, state, expected)
     translation_layers = [layer_of(read, name) for name in warp]
     net = Deformation(

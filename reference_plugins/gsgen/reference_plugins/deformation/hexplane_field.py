@@ -169,7 +169,7 @@ class HexPlaneField(nn.Module):
             opposite_corner.double() - corner.double()
         )
         self.resolutions = nn.ModuleList(
-            _Resolution(six, scaled_position, bake) for six in nets.grids
+            _Resolution(six_planes, scaled_position, bake) for six_planes in nets.grids
         )
 
     def forward(

@@ -37,7 +37,7 @@ def node_weights(
     points: Float[Tensor, "n d"], nodes: ControlNodes, neighbours: int
 ) -> tuple[Int[Tensor, "n k"], Float[Tensor, "n k"]]:
     """Return the nearest control nodes of points, and the float64 weights, which sum to 1."""
-    centres = torch.cat([nodes.position, nodes.hyper], dim=1).double()
+    centres = torch.cat([nodes.position, nodes.hyper_features], dim=1).double()
     radius = torch.exp(nodes.log_radius.double())
     weight_share = torch.sigmoid(nodes.logit_weight.double())
     indices, weights = [], []
@@ -70,7 +70,7 @@ class ScGs(GaussianGenerator):
         self.inputs = (time or inputs.time(),)
         self.nodes = _NodeMotion(read.nodes, read.options.max_scale)
         canonical = read.canonical
-        hyper_coordinates = read.hyper.expand(len(canonical), -1)
+        hyper_coordinates = read.hyper_features.expand(len(canonical), -1)
         index, weight = node_weights(
             torch.cat([canonical.position, hyper_coordinates], dim=1),
             read.nodes,

@@ -78,7 +78,7 @@ class ControlNodes:
     """The M control nodes of SC-GS, and the network that moves the nodes over time."""
 
     position: Float[Tensor, "m 3"]
-    hyper: Float[Tensor, "m h"]  # further coordinates, in which neighbours are found, too
+    hyper_features: Float[Tensor, "m h"]  # further coordinates, in which neighbours are found, too
     log_radius: Float[Tensor, " m"]  # logarithm of the radius of influence
     logit_weight: Float[Tensor, " m"]  # weight before the sigmoid
     net: Deformation
@@ -93,7 +93,7 @@ class ScGsCheckpoint:
 
     run: TrainingRun
     canonical: Canonical
-    hyper: Float[Tensor, "n h"]  # hyper coordinates of the Gaussians
+    hyper_features: Float[Tensor, "n h"]  # hyper coordinates of the Gaussians
     logit_mask: Float[Tensor, "n 1"] | None  # share of the motion, before the sigmoid
     nodes: ControlNodes
     options: NodeOptions
@@ -111,7 +111,7 @@ class ScGsCheckpoint:
         return ", ".join(
             [
                 f"{self.run}, {self.canonical.describe()}",
-                f"{len(nodes.position)} nodes in {3 + nodes.hyper.shape[1]} dimensions",
+                f"{len(nodes.position)} nodes in {3 + nodes.hyper_features.shape[1]} dimensions",
                 f"{self.options.neighbours} for each Gaussian",
                 *parts,
             ]
@@ -132,13 +132,13 @@ def read_sc_gs(folder: Path, iteration: int | None = None) -> ScGsCheckpoint:
         # The features, which splat files do not have.
         warnings.filterwarnings("ignore", ".* properties fea_", FormatWarning)
         canonical = read_canonical(cloud)
-    size, is_masked = nodes.hyper.shape[1], run.cfg.flag("gs_with_motion_mask")
+    size, is_masked = nodes.hyper_features.shape[1], run.cfg.flag("gs_with_motion_mask")
     features = _read_features(cloud, size + is_masked)
     mask = features[:, size:] if is_masked else None
     return ScGsCheckpoint(
         run=run,
         canonical=canonical,
-        hyper=features[:, :size],
+        hyper_features=features[:, :size],
         logit_mask=mask,
         nodes=nodes,
         options=options,
@@ -186,7 +186,7 @@ def _read_nodes(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> ControlNo
     )
     return ControlNodes(
         position=control_nodes["nodes"][:, :3],
-        hyper=control_nodes["nodes"][:, 3:],
+        hyper_features=control_nodes["nodes"][:, 3:],
         log_radius=control_nodes["_node_radius"],
         logit_weight=control_nodes["_node_weight"][:, 0],
         net=net,

@@ -117,7 +117,7 @@ def add_teeth(body: Body) -> Body:
         name: start + _COLUMN_COUNT * i + np.arange(_COLUMN_COUNT)
         for i, name in enumerate(_ROW_NAMES)
     }
-    strips = [_strip_faces(indices[a], indices[b], corners) for a, b, corners in _STRIP_TABLE]
+    face_strips = [_strip_faces(indices[a], indices[b], corners) for a, b, corners in _STRIP_TABLE]
     zero_pose_dirs = np.zeros((TOOTH_VERTICES, *body.pose_dirs.shape[1:]))
     return replace(
         body,
@@ -126,7 +126,7 @@ def add_teeth(body: Body) -> Body:
         pose_dirs=np.concatenate([body.pose_dirs, zero_pose_dirs]),
         weights=np.concatenate([body.weights, weights]),
         regressor=np.concatenate([body.regressor, np.zeros((body.joints, TOOTH_VERTICES))], axis=1),
-        faces=np.concatenate([body.faces, *strips]),
+        faces=np.concatenate([body.faces, *face_strips]),
     )
 
 

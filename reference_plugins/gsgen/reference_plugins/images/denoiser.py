@@ -73,7 +73,7 @@ class Denoiser(PostProcess):
         if self.noise is not None:
             signal_shares = _signal_and_noise(self.noise)
             signal, noise = signal_shares[math.floor(step.timestep + 0.5)].tolist()
-            self.fixed: tuple[SignalShare, SignalShare] = (signal, noise)
+            self.fixed_shares: tuple[SignalShare, SignalShare] = (signal, noise)
             self.table = signal_shares.float()  # not a buffer: it stays float32 in a float16 model
         self.image_range = self.output_range = _UNIT_RANGE if step.is_unit_range else _SIGNED_RANGE
         outer_options = read.unet.options if read.autoencoder is None else read.autoencoder.options
@@ -128,7 +128,7 @@ class Denoiser(PostProcess):
     def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[SignalShare, SignalShare]:
         """Return √ᾱ and √(1 − ᾱ) at a timestep, rounded to the nearest step of the schedule."""
         if timestep is None:
-            return self.fixed
+            return self.fixed_shares
         whole = torch.floor(timestep + 0.5).clamp(0.0, float(len(self.table) - 1))
         row = torch.index_select(self.table, 0, whole.to(torch.int32))
         return row[:, 0:1].reshape(1, 1, 1, 1), row[:, 1:2].reshape(1, 1, 1, 1)
@@ -139,13 +139,13 @@ def _signal_and_noise(noise: Noise) -> Float[Tensor, "steps 2"]:
 
 
 def _clean_image(
-    prediction: str, noisy: Tensor, predicted: Tensor, signal: SignalShare, noise: SignalShare
+    prediction: str, noisy_image: Tensor, predicted: Tensor, signal: SignalShare, noise: SignalShare
 ) -> Tensor:
     """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for the clean image x₀."""
     if prediction == "epsilon":
-        return (noisy - noise * predicted) / signal
+        return (noisy_image - noise * predicted) / signal
     if prediction == "v_prediction":  # Salimans and Ho 2022, appendix D
-        return signal * noisy - noise * predicted
+        return signal * noisy_image - noise * predicted
     return predicted
 
 

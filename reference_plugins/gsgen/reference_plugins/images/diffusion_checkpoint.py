@@ -194,12 +194,12 @@ def _text_encoder_warning(adapter: Adapter) -> str:
 
 def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
     path = folder / f"{_WEIGHTS}.safetensors"
-    pickled = folder / f"{_WEIGHTS}.bin"
-    if path.is_file() or not pickled.is_file():
+    pickled_file = folder / f"{_WEIGHTS}.bin"
+    if path.is_file() or not pickled_file.is_file():
         if not path.is_file() and (half_file := folder / f"{_WEIGHTS}.fp16.safetensors").is_file():
             path = half_file
         return path, dict(read_safetensors(path))
-    return pickled, load_state(pickled, "the weights")
+    return pickled_file, load_state(pickled_file, "the weights")
 
 
 def _rename_attention(

@@ -34,12 +34,12 @@ class _Block(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
         super().__init__()
-        self.around = kernel // 2
+        self.padding = kernel // 2
         self.conv = nn.Conv2d(inputs, outputs, kernel, stride=stride)
         self.norm = nn.InstanceNorm2d(outputs, affine=True)
 
     def forward(self, image: Tensor) -> Tensor:
-        output: Tensor = self.norm(self.conv(F.pad(image, (self.around,) * 4, mode="replicate")))
+        output: Tensor = self.norm(self.conv(F.pad(image, (self.padding,) * 4, mode="replicate")))
         return output
 
 
@@ -90,8 +90,8 @@ class Stylise(PostProcess):
             features = block(features)
         for block in self.up:
             features = torch.relu(block(F.interpolate(features, scale_factor=2.0, mode="nearest")))
-        styled = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
-        styled = styled[:, :, :height, :width]
+        styled_image = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
+        styled_image = styled_image[:, :, :height, :width]
         if style is None:
-            return styled
-        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (styled - image)
+            return styled_image
+        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (styled_image - image)

@@ -20,7 +20,7 @@ from gsgen.formats.checkpoints.pickled_data import OpaqueObject, pickled_data
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 _RECONSTRUCT_NAMES, _SCALAR_NAMES, _FROM_BUFFER_NAMES = (
-    tuple(f"numpy.{core}.{name}" for core in ("core", "_core"))
+    tuple(f"numpy.{core_name}.{name}" for core_name in ("core", "_core"))
     for name in ("multiarray._reconstruct", "multiarray.scalar", "numeric._frombuffer")
 )
 _OLD_OBJECTS: Final = ("copy_reg._reconstructor", "copyreg._reconstructor")

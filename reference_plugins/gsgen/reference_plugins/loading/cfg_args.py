@@ -50,7 +50,7 @@ class CfgArgs:
 
     path: Path
     values: dict[str, Any]  # option → literal, or :class:`Printed`; empty if the file is absent
-    present: bool = True  # whether the file exists
+    file_exists: bool = True  # whether the file exists
 
     def flag(self, name: str, *, default: bool = False) -> bool:
         """Return a boolean training option."""
@@ -81,7 +81,7 @@ class CfgArgs:
             raise self._wrong_value_error(name, " or ".join(map(repr, choices)) or "a word")
         return value
 
-    def printed(self) -> dict[str, PrintedObject]:
+    def printed_objects(self) -> dict[str, PrintedObject]:
         """Return the training options whose values are not literals, and so cannot be read."""
         return {
             name: value for name, value in self.values.items() if isinstance(value, PrintedObject)
@@ -99,7 +99,7 @@ def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
         if required:
             hint = f"Copy {_FILE_NAME} from the folder that training wrote: its flags change the result."
             raise CheckpointInvalid("is missing", where=str(path), hint=hint)
-        return CfgArgs(path, {}, present=False)
+        return CfgArgs(path, {}, file_exists=False)
     return CfgArgs(path, _parse_file(path))
 
 

@@ -115,8 +115,10 @@ def report_checkpoint(description: str, cfg: "CfgArgs") -> None:
     None of those options was needed: reading one raises an error.
     """
     note(description)
-    for name, printed in cfg.printed().items():
-        note(f"warning: {name}={printed!r:.80} in {cfg.path} is not a literal and was ignored")
+    for name, printed_object in cfg.printed_objects().items():
+        note(
+            f"warning: {name}={printed_object!r:.80} in {cfg.path} is not a literal and was ignored"
+        )
 
 
 def warn_unsupported(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:

@@ -19,8 +19,8 @@ _NUMPY_NAMES = (
     "numpy.dtype",
     "numpy.ndarray",
     *(
-        f"numpy.{core}.multiarray.{name}"
-        for core in ("core", "_core")
+        f"numpy.{core_name}.multiarray.{name}"
+        for core_name in ("core", "_core")
         for name in ("scalar", "_reconstruct")
     ),
 )
@@ -36,10 +36,10 @@ class InertObject:
     """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
-        self.given: dict[str, Any] = {}
+        self.given_state: dict[str, Any] = {}
 
     def __setstate__(self, state: Any) -> None:
-        self.given = state if isinstance(state, dict) else {}
+        self.given_state = state if isinstance(state, dict) else {}
 
 
 def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) -> Any:
@@ -47,9 +47,9 @@ def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) 
 
     ``known`` pairs a class with the name of a class in the file that it replaces.
     """
-    inert: list[Any] = [*((InertObject, name) for name in _NUMPY_NAMES), *known]
+    inert_types: list[Any] = [*((InertObject, name) for name in _NUMPY_NAMES), *known]
     try:
-        with torch.serialization.safe_globals(inert), warnings.catch_warnings():
+        with torch.serialization.safe_globals(inert_types), warnings.catch_warnings():
             # torch warns of other protocols of pickle than its own, and reads them.
             warnings.simplefilter("ignore")
             return torch.load(path, map_location="cpu", weights_only=True)

@@ -85,7 +85,9 @@ class Appearance(nn.Module):
         low, high = read.aabb.double()
         position = (read.canonical.position.double() - low) * (2 / (high - low)) - 1
         time = torch.tensor(list(poses), dtype=torch.float64) / read.origin - 1
-        self.grids = nn.ModuleList(_Resolution(six, position, time) for six in read.grids)
+        self.grids = nn.ModuleList(
+            _Resolution(six_planes, position, time) for six_planes in read.grids
+        )
         self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner)
         heads = [read.heads[name] for name in ("warp", "scaling", "rotation", "opacity")]
         weight, bias = (

@@ -74,7 +74,7 @@ class GauHuman(GaussianGenerator):
         vertices = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
         used, vertex = np.unique(rest_pose.nearest(xyz, vertices), return_inverse=True)
         baked_shape = None if shape is None else np.asarray(shape)
-        self.limbs = PoseBlendshapes(body, used, baked_shape, nets, add_hands=add_hands)
+        self.pose_blendshapes = PoseBlendshapes(body, used, baked_shape, nets, add_hands=add_hands)
         self.register_buffer("vertex", torch.from_numpy(vertex.astype(np.int32)))
         scale = torch.exp(canonical.log_scale.double()).float()
         gaussians = (canonical.position, scale, canonical.rotation)
@@ -87,7 +87,7 @@ class GauHuman(GaussianGenerator):
 
     def forward(self, *tensors: Tensor) -> Gaussians:
         """Return the posed Gaussians of all bodies, body after body."""
-        joints, added = self.limbs(self.actors.actor_from(tensors))
+        joints, added = self.pose_blendshapes(self.actors.actor_from(tensors))
         weights, rest_position, root = self.rest()
         transforms = blend_transforms(joints, weights)
         position = rest_position + torch.index_select(added, 2, self.vertex)

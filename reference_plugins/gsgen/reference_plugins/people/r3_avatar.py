@@ -95,7 +95,9 @@ class R3Avatar(GaussianGenerator):
         vertex = self._nearest_vertices(xyz.double().numpy(), rest, len(poses), progress)
         used, table_index = np.unique(vertex, return_inverse=True)
         baked_shape = None if shape is None else np.asarray(shape)
-        self.limbs = PoseBlendshapes(body, used, baked_shape, read.nets, add_hands=add_hands)
+        self.pose_blendshapes = PoseBlendshapes(
+            body, used, baked_shape, read.nets, add_hands=add_hands
+        )
         offsets = weight_offsets(read.nets, xyz)
         # softmax(log w + b) = w eᵇ / Σ w eᵇ, so no logarithm is computed per frame.
         factor = torch.exp(offsets - offsets.max(dim=1, keepdim=True).values)
@@ -140,7 +142,7 @@ class R3Avatar(GaussianGenerator):
     def forward(self, *tensors: Tensor) -> Gaussians:
         """Return the posed Gaussians of all bodies, body after body."""
         actor = self.actors.actor_from(tensors)
-        joints, added = self.limbs(actor)
+        joints, added = self.pose_blendshapes(actor)
         assert actor.frame is not None
         appearance_rows = (
             [self._appearance_row(frame) for frame in actor.frame]
@@ -215,18 +217,18 @@ class R3Avatar(GaussianGenerator):
         maps = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
         mixed_values = (weights @ maps).transpose(0, 1)
         mixed_values = mixed_values[:24] / mixed_values[24:25]
-        posed, big = mixed_values.reshape(2, 1, 3, 4, -1).unbind(dim=0)
+        posed_transforms, big = mixed_values.reshape(2, 1, 3, 4, -1).unbind(dim=0)
         inverse_big_pose = inverse(big)
         position = self.position + attributes[None, :3] - big[:, :, 3]
         position = _rotate_points(inverse_big_pose, position) + torch.index_select(added, 2, vertex)
         columns = rotation_columns([attributes[index : index + 1] for index in range(6, 10)])
         turn = torch.stack([torch.cat(column) for column in columns], dim=1)
         root = multiply_matrices(
-            posed, multiply_matrices(inverse_big_pose, (turn * scale[None])[None])
+            posed_transforms, multiply_matrices(inverse_big_pose, (turn * scale[None])[None])
         )
         opacity = torch.sigmoid(attributes[10:11]).transpose(0, 1)
         return (
-            planes_to_rows(transform_points(posed, position)),
+            planes_to_rows(transform_points(posed_transforms, position)),
             opacity,
             planes_to_rows(covariance(root)),
         )

@@ -74,10 +74,10 @@ class _InertModule(InertObject):
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
         """Yield the names and tensors of a pickled network, as ``state_dict`` would return them."""
-        for name, value in dict(self.given.get("_parameters", {})).items():
+        for name, value in dict(self.given_state.get("_parameters", {})).items():
             if isinstance(value, Tensor):
                 yield prefix + name, value
-        for name, child in dict(self.given.get("_modules", {})).items():
+        for name, child in dict(self.given_state.get("_modules", {})).items():
             if isinstance(child, _InertModule):
                 yield from child.tensors(f"{prefix}{name}.")
 

@@ -46,13 +46,13 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
 
     ``shadows`` casts those of the garden's table and trees.
     """
-    sun = SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
-    sun_cosine = cloud.normal @ sun
+    sun_direction = SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
+    sun_cosine = cloud.normal @ sun_direction
     diffuse = (
         np.maximum(sun_cosine, 0) + cloud.gloss * np.maximum(-sun_cosine, 0) + 0.3 * cloud.gloss
     )
     if shadows:
-        diffuse = np.where(_is_in_shadow(cloud.position, sun), 0.12 * diffuse, diffuse)
+        diffuse = np.where(_is_in_shadow(cloud.position, sun_direction), 0.12 * diffuse, diffuse)
     upward = (0.5 + 0.5 * cloud.normal[:, 1])[:, None]
     light = diffuse[:, None] * _SUN_COLOR + upward * _SKY_COLOR + (1 - upward) * _GROUND_COLOR
     linear_color = cloud.color * light
@@ -68,31 +68,33 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
     )
 
 
-def _is_in_shadow(position: Points, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
+def _is_in_shadow(
+    position: Points, sun_direction: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " n"]:
     """Return whether the garden's table or a tree shades a point from the sun."""
     # 1. The top is a disc: the ray meets its plane within its radius.
-    hit_distance = (_TABLE_HEIGHT - position[:, 1]) / sun[1]
-    hit_position = position + hit_distance[:, None] * sun
+    hit_distance = (_TABLE_HEIGHT - position[:, 1]) / sun_direction[1]
+    hit_position = position + hit_distance[:, None] * sun_direction
     shadow = (hit_distance > 0.03) & (
         np.hypot(hit_position[:, 0], hit_position[:, 2]) < _TABLE_RADIUS
     )
     # 2. Crowns are spheres: the ray passes their centre within their radius.
     for x, z, size in _TREE_POSITIONS:
         to_sphere = np.array([x, 2.0 * size, z]) - position
-        sun_distance = to_sphere @ sun
-        miss_distance = np.linalg.norm(to_sphere - sun_distance[:, None] * sun, axis=1)
+        sun_distance = to_sphere @ sun_direction
+        miss_distance = np.linalg.norm(to_sphere - sun_distance[:, None] * sun_direction, axis=1)
         is_inside = np.linalg.norm(to_sphere, axis=1) < 1.05 * size
         shadow |= (sun_distance > 0) & (miss_distance < 0.75 * size) & ~is_inside
     return np.asarray(shadow)
 
 
 def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
-    paving = on_disc(int(11_000 * unit), _PAVING_RADIUS, np.zeros(3))
-    x, _, z = paving.position.T
+    paving_disc = on_disc(int(11_000 * unit), _PAVING_RADIUS, np.zeros(3))
+    x, _, z = paving_disc.position.T
     ring_row, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
     row = np.floor(ring_row)
-    stones = np.maximum(1, np.round(6.3 * (row + 0.5)))
-    column = (angle / (2 * np.pi) + 0.37 * row) * stones
+    stones_per_ring = np.maximum(1, np.round(6.3 * (row + 0.5)))
+    column = (angle / (2 * np.pi) + 0.37 * row) * stones_per_ring
     edge_distance = np.minimum(np.abs(ring_row % 1 - 0.5), 0.5 - np.abs(column % 1 - 0.5) + 0.4)
     joint = (np.abs(ring_row % 1 - 0.5) > 0.45) | (np.abs(column % 1 - 0.5) > 0.45)
     tone_factor = (
@@ -101,25 +103,27 @@ def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
     stone_color = (
         tone_factor[:, None] * np.array([0.5, 0.45, 0.38]) * (0.9 + 0.2 * edge_distance[:, None])
     )
-    grain_factor = 1 + 0.08 * rng.normal(size=(len(paving), 1))
+    grain_factor = 1 + 0.08 * rng.normal(size=(len(paving_disc), 1))
     color = np.where(joint[:, None], [0.13, 0.14, 0.08], stone_color) * grain_factor
     paved_cloud = Cloud(
-        position=paving.position,
-        normal=paving.normal,
-        along=paving.along,
-        scale=paving.scale,
+        position=paving_disc.position,
+        normal=paving_disc.normal,
+        along=paving_disc.along,
+        scale=paving_disc.scale,
         color=color,
-        gloss=paving.gloss,
+        gloss=paving_disc.gloss,
     )
     soil_cloud = on_disc(
-        int(7000 * unit), _LAWN_RADIUS, np.array([0.09, 0.15, 0.04]), hole=_PAVING_RADIUS
+        int(7000 * unit), _LAWN_RADIUS, np.array([0.09, 0.15, 0.04]), hole_radius=_PAVING_RADIUS
     )
     count = int(15_000 * unit)
     distance = np.sqrt(rng.uniform(_PAVING_RADIUS**2, _LAWN_RADIUS**2, count))
     turn = rng.uniform(0, 2 * np.pi, count)
     roots = np.stack([distance * np.cos(turn), np.zeros(count), distance * np.sin(turn)], axis=1)
-    patch = 0.5 + 0.5 * np.sin(2.1 * roots[:, 0]) * np.sin(1.7 * roots[:, 2] + 1)
-    green_color = np.array([0.16, 0.34, 0.05]) + patch[:, None] * np.array([0.13, 0.1, 0.01])
+    grass_patches = 0.5 + 0.5 * np.sin(2.1 * roots[:, 0]) * np.sin(1.7 * roots[:, 2] + 1)
+    green_color = np.array([0.16, 0.34, 0.05]) + grass_patches[:, None] * np.array(
+        [0.13, 0.1, 0.01]
+    )
     green_color = green_color * np.exp(0.22 * rng.normal(size=(count, 1)))
     return [
         paved_cloud,
@@ -142,7 +146,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
     wood = (
         tone_factor[:, None] * np.where(is_gap[:, None], 0.25, 1.0) * np.array([0.56, 0.33, 0.17])
     )
-    planks = Cloud(
+    table_planks = Cloud(
         position=table_top.position,
         normal=table_top.normal,
         along=table_top.along,
@@ -180,16 +184,16 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=np.where(bands, [0.85, 0.85, 0.8], vase.color),
         gloss=vase.gloss,
     )
-    bouquet = _flowers(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
+    bouquet_flowers = _flowers(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
     leaves = on_ellipsoid(int(900 * unit), (0.2, 0.14, 0.2), np.array([0.12, 0.3, 0.07]), rng)
     stand_position = (0.0, height + 0.01, 0.0)
     return [
-        planks.moved((0, height, 0)),
+        table_planks.moved((0, height, 0)),
         table_rim,
         table_foot,
         glazed_vase.moved(stand_position),
         leaves.moved((0, height + 0.47, 0)),
-        bouquet.moved((0, height + 0.52, 0)),
+        bouquet_flowers.moved((0, height + 0.52, 0)),
     ]
 
 
@@ -197,7 +201,7 @@ def _flowers(
     count: int, radii: tuple[float, float, float], size: float, rng: np.random.Generator
 ) -> Cloud:
     """Return flowers of a heart and two rings of petals, on the upper half of an ellipsoid."""
-    flowers = []
+    flower_parts = []
     for number in range(count):
         height = 1 - 1.15 * (number + 0.5) / count
         turn = 2.4 * number
@@ -231,8 +235,8 @@ def _flowers(
             color=np.array([[0.85, 0.6, 0.1]]),
             gloss=np.zeros(1),
         )
-        flowers += [petals, flower_center]
-    return join(flowers)
+        flower_parts += [petals, flower_center]
+    return join(flower_parts)
 
 
 def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
@@ -253,7 +257,7 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     spoke_tangent = np.cross(normal, crown_shell.normal)
     spoke_tangent /= np.linalg.norm(spoke_tangent, axis=1, keepdims=True)
-    hedge = Cloud(
+    hedge_leaves = Cloud(
         position=distance[:, None] * spoke_direction + height[:, None] * np.array([0.0, 1.0, 0.0]),
         normal=normal,
         along=spoke_tangent,
@@ -261,7 +265,7 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=crown_shell.color * np.exp(0.3 * rng.normal(size=(count, 1))),
         gloss=crown_shell.gloss,
     )
-    clouds = [hedge]
+    clouds = [hedge_leaves]
     # 2. Trees: a trunk and a crown of leaves.
     for x, z, size in _TREE_POSITIONS:
         trunk_cloud = on_lathe(
@@ -276,9 +280,9 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
     for number in range(7):
         turn_of_bed = np.pi * (0.95 + 1.1 * number / 6)
         x, z = 2.75 * np.cos(turn_of_bed), 2.75 * np.sin(turn_of_bed)
-        bush = on_ellipsoid(
+        bush_leaves = on_ellipsoid(
             int(600 * unit), (0.38, 0.3, 0.38), np.array([0.12, 0.28, 0.08]), rng, size=0.025
         )
         bloom_cloud = _flowers(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
-        clouds += [bush.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
+        clouds += [bush_leaves.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
     return clouds

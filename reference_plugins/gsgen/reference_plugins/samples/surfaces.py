@@ -67,15 +67,15 @@ def _cloud(
     )
 
 
-def on_disc(count: int, radius: float, color: Points, *, hole: float = 0.0) -> Cloud:
+def on_disc(count: int, radius: float, color: Points, *, hole_radius: float = 0.0) -> Cloud:
     """Return ``count`` Gaussians on a horizontal disc around the origin that faces up."""
     index = np.arange(count) + 0.5
-    distance = np.sqrt(hole**2 + (radius**2 - hole**2) * index / count)
+    distance = np.sqrt(hole_radius**2 + (radius**2 - hole_radius**2) * index / count)
     angle = _GOLDEN_ANGLE * index
     position = np.stack(
         [distance * np.cos(angle), np.zeros(count), distance * np.sin(angle)], axis=1
     )
-    spacing = np.sqrt(np.pi * (radius**2 - hole**2) / count)
+    spacing = np.sqrt(np.pi * (radius**2 - hole_radius**2) / count)
     return _cloud(position, np.tile([0.0, 1.0, 0.0], (count, 1)), color, 0.6 * spacing)
 
 

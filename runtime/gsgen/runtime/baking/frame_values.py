@@ -49,12 +49,14 @@ class FrameValues:
             track.where: track.frames(source.shape(spec.name)) for spec, track in self._tracks
         }
         self.frames = max(lengths.values(), default=1)
-        mismatched = [where for where, length in lengths.items() if length not in (1, self.frames)]
-        if mismatched:
+        mismatched_inputs = [
+            where for where, length in lengths.items() if length not in (1, self.frames)
+        ]
+        if mismatched_inputs:
             longest = max(lengths, key=lambda where: lengths[where])
             raise ConfigInvalid(
-                f"has {lengths[mismatched[0]]} frames, expected 1 or {self.frames} as {longest}",
-                where=mismatched[0],
+                f"has {lengths[mismatched_inputs[0]]} frames, expected 1 or {self.frames} as {longest}",
+                where=mismatched_inputs[0],
                 hint="Give all ranges the same number of frames.",
             )
         for spec, track in self._tracks:

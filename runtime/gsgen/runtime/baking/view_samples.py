@@ -209,7 +209,7 @@ def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
     ordered = inverse.reshape(-1)[order]
     is_start = np.diff(ordered, prepend=-1) != 0
     start_indices = np.maximum.accumulate(np.where(is_start, np.arange(len(order)), 0))
-    occurrence = np.empty(len(order), np.uint32)
-    occurrence[order] = np.arange(len(order)) - start_indices
-    row_keys = np.concatenate([bits, occurrence[:, None]], axis=1)
+    occurrence_numbers = np.empty(len(order), np.uint32)
+    occurrence_numbers[order] = np.arange(len(order)) - start_indices
+    row_keys = np.concatenate([bits, occurrence_numbers[:, None]], axis=1)
     return np.ascontiguousarray(row_keys).view(np.dtype((np.void, 16))).reshape(-1)

@@ -108,10 +108,10 @@ def pixel_count(document: Mapping[str, Any], name: str, where: str) -> int:
     return int(value)
 
 
-def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
-    """Read a JSON field of a camera file as text; return ``fallback`` if the field is absent."""
+def text(document: Mapping[str, Any], name: str, default_text: str) -> str:
+    """Read a JSON field of a camera file as text; return ``default_text`` if the field is absent."""
     value = document.get(name)
-    return fallback if value is None or isinstance(value, list | dict) else str(value)
+    return default_text if value is None or isinstance(value, list | dict) else str(value)
 
 
 def matrix(

@@ -71,5 +71,5 @@ def _pivot_roots(
 def _divide_or_zero(
     number: Float64[np.ndarray, " n"], divisor: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    quotient = np.zeros_like(number)
-    return np.asarray(np.divide(number, divisor, where=divisor != 0, out=quotient))
+    quotients = np.zeros_like(number)
+    return np.asarray(np.divide(number, divisor, where=divisor != 0, out=quotients))

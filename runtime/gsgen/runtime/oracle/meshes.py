@@ -84,19 +84,19 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     x = np.arange(camera.width) + 0.5 + _SAMPLE_SHIFTS[:, 0, None]
     y = np.arange(camera.height) + 0.5 + _SAMPLE_SHIFTS[:, 1, None]
     shape = (len(_SAMPLE_SHIFTS), camera.height, camera.width)
-    across = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
-    down = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
+    column_slopes = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
+    row_slopes = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
     zeros, ones = np.zeros(shape), np.ones(shape)
     to_world = camera.view[:3, :3]  # rows times R are Rᵀ times columns
     if camera.kind == "orthographic":
-        start = np.stack([across, down, zeros], -1) @ to_world + camera.eye
+        start = np.stack([column_slopes, row_slopes, zeros], -1) @ to_world + camera.eye
         return start, np.stack([zeros, zeros, ones], -1) @ to_world
     start = np.broadcast_to(camera.eye, (*shape, 3))
     if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
-        level = np.cos(down)
-        around = [level * np.sin(across), np.sin(down), level * np.cos(across)]
+        level = np.cos(row_slopes)
+        around = [level * np.sin(column_slopes), np.sin(row_slopes), level * np.cos(column_slopes)]
         return start, np.stack(around, -1) @ to_world
-    return start, np.stack([across, down, ones], -1) @ to_world
+    return start, np.stack([column_slopes, row_slopes, ones], -1) @ to_world
 
 
 def _triangle_window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:

@@ -11,9 +11,9 @@ __all__ = [
     "Ellipses",
     "Picture",
     "Splats",
-    "across",
     "drawn_splats",
     "ellipses",
+    "pixel_offset",
 ]
 
 from dataclasses import dataclass
@@ -270,7 +270,9 @@ def _shortest_axes(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(faces_away[:, None], -axes, axes))
 
 
-def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
+def pixel_offset(
+    pixels: Float[np.ndarray, " n"], mean: float, camera: Camera
+) -> Float[np.ndarray, " n"]:
     """Return the horizontal distances of pixels to a Gaussian; in a panorama, the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean

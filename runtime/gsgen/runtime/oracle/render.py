@@ -163,7 +163,9 @@ def _opacity(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a Gaussian's opacities at the pixels of a window, and their horizontal offsets."""
     rows, columns = window
-    dx = projection.across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
+    dx = projection.pixel_offset(
+        np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera
+    )
     dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
     (a, b), (_, c) = inverse
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx

@@ -225,7 +225,7 @@ class _BlendState:
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
         for k, depth in enumerate(splats.depth):
             # Step 2: a Gaussian counts within its circle, where it is opaque enough, and before meshes.
-            dx = projection.across(x, splats.mean[k, 0], camera)
+            dx = projection.pixel_offset(x, splats.mean[k, 0], camera)
             dy = y - splats.mean[k, 1]
             (a, b), (_, c) = np.linalg.inv(splats.covariance[k])
             unclamped_opacity = splats.opacity[k] * np.exp(
@@ -239,11 +239,11 @@ class _BlendState:
             is_near_threshold |= np.abs(far - cell.radius[k]) <= cell.ring_radius[k]
             is_near_threshold |= np.abs(depth - limit) <= _EQUALITY_TOLERANCE * depth
             is_reached = unclamped_opacity >= MIN_ALPHA * (1 - FRAGILE_BAND)
-            around = cell.pixel_box | cell.is_uncertain
+            touched_pixels_mask = cell.pixel_box | cell.is_uncertain
             self.fragile |= (
                 is_reached
                 & is_near_threshold
-                & around
+                & touched_pixels_mask
                 & (entered_transmittance >= _MIN_TRANSMITTANCE * (1 - FRAGILE_BAND))
             )
             self.fragile |= is_inside & cell.is_uncertain

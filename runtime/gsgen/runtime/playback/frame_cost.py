@@ -103,7 +103,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
     playback_cost, statistics = _play(sequence), sequence.player.statistics
     on_step("measuring stages")
     with device.translate_errors():
-        staged = _stage(sequence)
+        staged_cost = _stage(sequence)
     return FrameCost(
         device=device.name,
         software=device.software,
@@ -111,17 +111,17 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
         frames=sequence.frames,
         wall=Span.of(playback_cost.wall),
         cpu=Span.of(playback_cost.cpu),
-        submit=Span.of(staged.submit),
+        submit=Span.of(staged_cost.submit),
         inference={
             name: Span.of(seconds) for name, seconds in playback_cost.inference.items() if seconds
         },
-        stages=staged.stages,
-        clock=staged.clock,
+        stages=staged_cost.stages,
+        clock=staged_cost.clock,
         gaussians=int(np.median(playback_cost.gaussians)),
         visible=int(np.median(playback_cost.visible)),
         pairs=int(np.median(playback_cost.pairs)),
-        rows_bytes=staged.rows_bytes,
-        plan_bytes=staged.plan_bytes,
+        rows_bytes=staged_cost.rows_bytes,
+        plan_bytes=staged_cost.plan_bytes,
         capacity=len(sequence.player.scene),
         frames_in_flight=statistics.in_flight,
         waited=statistics.waited / max(1, statistics.frames),

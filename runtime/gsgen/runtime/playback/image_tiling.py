@@ -56,12 +56,12 @@ def tile_weights(
     A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
     at each pixel; a pixel of one tile alone has weight 1.
     """
-    ramp = np.outer(_blend_ramp(tile[0], overlap), _blend_ramp(tile[1], overlap))
+    weight_ramp = np.outer(_blend_ramp(tile[0], overlap), _blend_ramp(tile[1], overlap))
     tiles = list(lay_tiles(image, tile, overlap))
     total = np.zeros(image)
     for corner in tiles:
-        total[_tile_slices(corner, tile)] += ramp
-    return [(corner, ramp / total[_tile_slices(corner, tile)]) for corner in tiles]
+        total[_tile_slices(corner, tile)] += weight_ramp
+    return [(corner, weight_ramp / total[_tile_slices(corner, tile)]) for corner in tiles]
 
 
 def _blend_ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:

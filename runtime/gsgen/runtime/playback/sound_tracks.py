@@ -89,8 +89,8 @@ def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
     else:
         numbers = np.frombuffer(data, np.dtype(_PCM[width]))
     middle = 128 if width == 1 else 0  # 8 bits are unsigned
-    amplitudes = (numbers.astype(np.float64) - middle) / 2 ** (8 * width - 1)
-    return amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)
+    audio_amplitudes = (numbers.astype(np.float64) - middle) / 2 ** (8 * width - 1)
+    return audio_amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)
 
 
 def _resample(
@@ -101,5 +101,5 @@ def _resample(
     from scipy.signal import resample_poly
 
     ratio = Fraction(target / rate).limit_denominator(_MAX_DENOMINATOR)
-    resampled = resample_poly(samples, ratio.numerator, ratio.denominator)
-    return np.asarray(np.clip(resampled, -1, 1), np.float32)
+    resampled_audio = resample_poly(samples, ratio.numerator, ratio.denominator)
+    return np.asarray(np.clip(resampled_audio, -1, 1), np.float32)

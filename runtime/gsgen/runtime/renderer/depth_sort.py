@@ -119,7 +119,7 @@ class DepthOrder:
         )
         sorted_lows = low_columns[side]
         # Step 2: fetch the depth key of each splat in that order.
-        gather = self._gather_kernel().step(counts, keys, sorted_lows.values, sorted_lows.keys)
+        gather_step = self._gather_kernel().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
             low_columns.reverse()
         # Step 3: sort by the keys; this sort is stable, so that equal keys keep the order of remainders.
@@ -131,4 +131,4 @@ class DepthOrder:
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
         )
-        return [*first, gather, *next_steps], low_columns[side]
+        return [*first, gather_step, *next_steps], low_columns[side]

@@ -148,6 +148,8 @@ def _world_normals(
     normal: Float32[np.ndarray, "h w 3"], camera: Camera
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return normals in camera space as unit vectors in world space; zeros stay zeros."""
-    turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
-    size = np.linalg.norm(turned, axis=-1, keepdims=True)
-    return np.asarray(np.divide(turned, size, out=np.zeros_like(turned), where=size > 0))
+    turned_normals = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
+    size = np.linalg.norm(turned_normals, axis=-1, keepdims=True)
+    return np.asarray(
+        np.divide(turned_normals, size, out=np.zeros_like(turned_normals), where=size > 0)
+    )

@@ -216,7 +216,7 @@ class Plan:
                 tiles_of=low_keys if self._kernels.lists else colors,
                 splats=self._splats,
                 ranges=self._ranges,
-                scratch=a.keys,
+                scratch_buffer=a.keys,
                 gaussians=n,
                 pair_capacity=self._rasterisation.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],

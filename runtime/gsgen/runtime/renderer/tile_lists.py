@@ -32,7 +32,7 @@ class TileLists:
             ``tile_window.wgsl`` in the second half; else the last of four words is their number.
         splats: The two vectors of each splat.
         ranges: The buffer of the first and the last list entry of each tile.
-        scratch: A word per splat that no later stage reads.
+        scratch_buffer: A word per splat that no later stage reads.
         gaussians: Most splats.
         pair_capacity: Most pairs of a splat and a tile.
         tiles: Number of tiles of the image.
@@ -45,7 +45,7 @@ class TileLists:
     tiles_of: Buffer
     splats: list[Buffer]
     ranges: Buffer
-    scratch: Buffer
+    scratch_buffer: Buffer
     gaussians: int
     pair_capacity: int
     tiles: int
@@ -83,7 +83,15 @@ def _counting_lists(
     uniforms = (lists.frame, lists.counts)
     tally, total, begin, fill = kernels.list_tiles(panorama=panorama).steps(
         lists.tiles,
-        (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats, lists.scratch),
+        (
+            *uniforms,
+            lists.order,
+            lists.tiles_of,
+            counters,
+            members,
+            *lists.splats,
+            lists.scratch_buffer,
+        ),
         (*uniforms, counters, totals, lists.ranges),
     )
     scan_steps = kernels.scan.steps(

@@ -124,10 +124,10 @@ class WeightedPart:
             self._allocate_columns("cells b", self._cells),
         )
         low_keys = self._storage("lows of cells", 4 * self._cells)
-        circles = self._storage("circles of cells", VEC4 * self._cells)
+        cell_circles = self._storage("circles of cells", VEC4 * self._cells)
         spans = self._storage("spans of cells", VEC4 * self._cells)
         normals = self._storage("weighted normals", VEC4 * n) if "normal" in outputs else None
-        splats, cells = (shapes, weights, colors), (columns[0].keys, circles, spans)
+        splats, cells = (shapes, weights, colors), (columns[0].keys, cell_circles, spans)
         if self.slabs is not None:
             stages = self._project_slab(self.slabs, placed, splats, (*cells, low_keys), normals)
         else:
@@ -139,7 +139,7 @@ class WeightedPart:
             self._allocate_columns(f"pairs of cells {side}", self._rasterisation.pair_capacity)
             for side in "ab"
         ]
-        stages["bin cells"] = self._bin_steps(order, circles, pairs[0])
+        stages["bin cells"] = self._bin_steps(order, cell_circles, pairs[0])
         stages["group cells"], members = self._group_steps(pairs)
         # Stage 4: sum the Gaussians of the cells of each tile, once per output.
         known_buffers = (self._ranges, members, spans, shapes, weights)
@@ -254,11 +254,11 @@ class WeightedPart:
         )
         return self._kernels.order.steps(n, self.counts, columns, low_keys, None, spare_keys)
 
-    def _bin_steps(self, order: Buffer, circles: Buffer, pairs: Columns) -> list[Step]:
+    def _bin_steps(self, order: Buffer, cell_circles: Buffer, pairs: Columns) -> list[Step]:
         walk_rows = self._kernels.sort_config.walk_rows
         run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk_rows))
         measure, emit = self._kernels.bin_cells(panorama=self._image.panorama).steps(
-            self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
+            self.counts, (self._frame, self.counts, order, cell_circles, run_pairs, *pairs)
         )
         scan_steps = self._kernels.scan.steps(
             self.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
@@ -284,8 +284,10 @@ class WeightedPart:
         if self._layers is not None:
             # What slabs keep is at the end of the layers' depths: of colours, then of normals.
             numbers, last = self._layers.depths.size // (4 * pixels), name == "normal"
-            behind = 1 if last or self._layers.normals is None else 2
-            first_plane = numbers - behind * PLANE_COUNT_BY_NORMAL[False] if uses_slabs else None
+            layer_input_count = 1 if last or self._layers.normals is None else 2
+            first_plane = (
+                numbers - layer_input_count * PLANE_COUNT_BY_NORMAL[False] if uses_slabs else None
+            )
             kernel = self._kernels.blend_wsr(
                 pick=False,
                 panorama=self._image.panorama,

@@ -236,9 +236,9 @@ class Camera:
         x_scale = math.radians(longitudes[1] - longitudes[0])
         y_scale = math.radians(latitudes[1] - latitudes[0])
         _require_side("width", width)
-        tall = max(1, round(width * y_scale / x_scale)) if height is None else height
-        _require_side("height", tall)
-        fx, fy = width / x_scale, tall / y_scale
+        panorama_height = max(1, round(width * y_scale / x_scale)) if height is None else height
+        _require_side("height", panorama_height)
+        fx, fy = width / x_scale, panorama_height / y_scale
         up_vector = _direction("up", up)
         ahead = _direction("toward", toward)
         ahead -= up_vector * (up_vector @ ahead)
@@ -251,7 +251,15 @@ class Camera:
         view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
         cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
         return cls(
-            view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=tall, near=near, kind="panorama"
+            view,
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            width=width,
+            height=panorama_height,
+            near=near,
+            kind="panorama",
         )
 
     @classmethod
@@ -402,8 +410,8 @@ class Camera:
 
 
 def _require_number(name: str, value: object, *, must_be_positive: bool = False) -> None:
-    good = isinstance(value, int | float) and math.isfinite(value)
-    if not good or (must_be_positive and not float(value) > 0):  # type: ignore[arg-type]
+    is_finite = isinstance(value, int | float) and math.isfinite(value)
+    if not is_finite or (must_be_positive and not float(value) > 0):  # type: ignore[arg-type]
         expected = "a positive number" if must_be_positive else "a finite number"
         raise SceneInvalid(f"is {value!r}, expected {expected}", where=f"camera.{name}")
 

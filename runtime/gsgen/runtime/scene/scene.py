@@ -175,8 +175,8 @@ class Scene:
         raise IndexError(f"Gaussian {index} is not in the scene: expected 0 to {len(self) - 1}")
 
     def __len__(self) -> int:
-        own = sum(len(splat_set.data) for splat_set in self.sets)
-        return own + sum(len(pooled_set.pool) for pooled_set in self.pools)
+        own_count = sum(len(splat_set.data) for splat_set in self.sets)
+        return own_count + sum(len(pooled_set.pool) for pooled_set in self.pools)
 
 
 def _as_set(entry: SplatSet | SplatData) -> SplatSet:

@@ -221,22 +221,22 @@ class SplatPool:
         slots = self._held_slots(tile)
         self._require_shapes(tile, rows, appearance)
         half, end_row = len(slots) // 2, first_row + len(rows)
-        drawn, staged = slots[:half], slots[half:]
-        has_room = end_row <= count <= half * self.slot_rows and not self.live[staged].any()
+        drawn, staged_slots = slots[:half], slots[half:]
+        has_room = end_row <= count <= half * self.slot_rows and not self.live[staged_slots].any()
         if first_row % self.slot_rows or not has_room:
             raise SceneInvalid(
                 f"rows {first_row} to {end_row} of {count} do not begin a slot of "
                 f"{self.slot_rows:,}, or exceed the second half of the tile's {len(slots)} slots",
                 where=f"tile {tile}",
             )
-        part = staged[first_row // self.slot_rows : -(-end_row // self.slot_rows)]
+        part = staged_slots[first_row // self.slot_rows : -(-end_row // self.slot_rows)]
         self._overwrite(part, rows, appearance, origin)
-        self.live[staged] = 0
+        self.live[staged_slots] = 0
         if end_row == count:
-            starts = self.slot_rows * np.arange(len(staged))
+            starts = self.slot_rows * np.arange(len(staged_slots))
             self.live[drawn] = 0
-            self.live[staged] = np.clip(count - starts, 0, self.slot_rows)
-            self._slots_of[tile] = staged + drawn
+            self.live[staged_slots] = np.clip(count - starts, 0, self.slot_rows)
+            self._slots_of[tile] = staged_slots + drawn
 
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):

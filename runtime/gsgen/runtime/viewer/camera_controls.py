@@ -124,14 +124,14 @@ class Controls:
             low, high = _MIN_DISTANCE * self._scene_radius, 1e4 * self._scene_radius
             self._distance = float(np.clip(self._distance * factor, low, high))
 
-    def fly(self, keys: frozenset[str], seconds: float, *, fast: bool) -> bool:
+    def fly(self, keys: frozenset[str], seconds: float, *, is_fast: bool) -> bool:
         """Move the camera in the directions of the held keys, and return whether it moved."""
         steps = np.sum(
             [CAMERA_KEYS[key] for key in keys if key in CAMERA_KEYS] or [(0, 0, 0)], axis=0
         )
         if not steps.any():
             return False
-        length = _MOVE_SPEED * self._scene_radius * seconds * (_FAST_FACTOR if fast else 1)
+        length = _MOVE_SPEED * self._scene_radius * seconds * (_FAST_FACTOR if is_fast else 1)
         self.pivot = self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
         return True
 

@@ -69,12 +69,12 @@ class Statistics:
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
-        drawn = renderer.drawn
-        if drawn is None or (is_moving and now - self._last_update < _REFRESH_SECONDS):
+        drawn_image = renderer.drawn
+        if drawn_image is None or (is_moving and now - self._last_update < _REFRESH_SECONDS):
             return
         self._last_update = now
         count = sum(source.count for source in playback.sources)
-        rows = [(title, ""), ("Gaussians", f"{count:,}, {drawn.visible:,} drawn")]
+        rows = [(title, ""), ("Gaussians", f"{count:,}, {drawn_image.visible:,} drawn")]
         if any(source.inputs for source in playback.sources):
             seconds = sum(source.seconds for source in playback.sources)
             rows.append(("inference", f"{1000 * seconds:.1f} ms"))

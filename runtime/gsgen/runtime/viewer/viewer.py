@@ -130,7 +130,7 @@ class Viewer:
         elapsed, self._last_draw = min(now - self._last_draw, _MAX_STEP), now
         width, height = context.physical_size
         self._size = (max(1, width), max(1, height))
-        is_flying = self.controls.fly(self._held_keys, elapsed, fast=self._is_shift_held)
+        is_flying = self.controls.fly(self._held_keys, elapsed, is_fast=self._is_shift_held)
         self.playback.advance(elapsed)
         # Step 2: take the frame that was computed, and begin the current one. A file, or a quick
         # model, is ready at once.

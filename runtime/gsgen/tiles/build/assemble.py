@@ -148,15 +148,15 @@ def is_complete(output: Path, key: str) -> JsonDict | None:
 
 def remove_stale(output: Path, files: dict[str, tuple[int, str]]) -> int:
     """Delete files of earlier builds that the tileset no longer names; return their number."""
-    stale = [
+    stale_files = [
         path
         for pattern in ("t/*/*.glb", "s/*/*.subtree", "tileset-q*.json", "n/*")
         for path in output.glob(pattern)
         if path.relative_to(output).as_posix() not in files
     ]
-    for path in stale:
+    for path in stale_files:
         path.unlink(missing_ok=True)
     for folder in [*output.glob("[ts]/*"), *output.glob("[nts]")]:
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-    return len(stale)
+    return len(stale_files)

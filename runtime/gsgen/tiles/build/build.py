@@ -188,10 +188,10 @@ def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
-    spilled = sum(run.phase("bin", rows, run_bin, items))
-    if spilled != plan.count:
+    spilled_bytes = sum(run.phase("bin", rows, run_bin, items))
+    if spilled_bytes != plan.count:
         raise AssertionError(
-            f"the partitions' temporary files hold {spilled} splats, expected {plan.count}"
+            f"the partitions' temporary files hold {spilled_bytes} splats, expected {plan.count}"
         )
     # 4. Partitions, the largest first; then the levels above, deepest first.
     order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
@@ -298,7 +298,7 @@ def _report_skipped_splats(
 
 
 def _report_large_splats(facts: Sequence[ChunkFacts], progress: Progress) -> None:
-    largest = max(chunk_facts.largest for chunk_facts in facts)
+    largest = max(chunk_facts.largest_scale for chunk_facts in facts)
     if largest > _SPZ_LOG_SCALE:
         progress.note(
             f"the largest splat has a standard deviation of {math.exp(largest):.6g} units, and "

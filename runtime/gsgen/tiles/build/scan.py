@@ -35,7 +35,7 @@ class ChunkFacts:
         first_skipped: The first of them, as a row of the file; −1 without any.
         low: Least coordinates of the centres.
         high: Greatest coordinates of the centres.
-        largest: Logarithm of the largest standard deviation, −1000 or more.
+        largest_scale: Logarithm of the largest standard deviation, −1000 or more.
         digests: SHA-256 of the values of every ``BLOCK_ROWS`` rows; independent of the chunk size.
     """
 
@@ -45,7 +45,7 @@ class ChunkFacts:
     first_skipped: int
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-    largest: float
+    largest_scale: float
     digests: tuple[str, ...]
 
 
@@ -55,9 +55,9 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
     valid = valid_rows(splats)
     count = int(np.count_nonzero(valid))
     low = high = np.zeros(3)
-    largest = 0.0
+    largest_scale = 0.0
     if count:
-        largest = max(float(column[valid].max()) for column in splats.log_scale.T)
+        largest_scale = max(float(column[valid].max()) for column in splats.log_scale.T)
         position = splats.position[valid]
         columns = np.ascontiguousarray(position.T)
         low, high = columns.min(axis=1), columns.max(axis=1)
@@ -69,7 +69,7 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
         first_skipped=chunk.first + int(np.argmin(valid)) if skipped else -1,
         low=(float(low[0]), float(low[1]), float(low[2])),
         high=(float(high[0]), float(high[1]), float(high[2])),
-        largest=max(largest, _SMALLEST_LOG_SCALE),
+        largest_scale=max(largest_scale, _SMALLEST_LOG_SCALE),
         digests=tuple(_digest(splats, first) for first in range(0, len(splats), BLOCK_ROWS)),
     )
 
@@ -85,8 +85,8 @@ def _digest(splats: Splats, first: int) -> str:
 def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
     """Return each splat's deepest octree level: the last whose tiles are at least 6σ long."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
-    largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
-    ratio = math.log(cube.side / (2 * EXTENT_SIGMAS)) - largest
+    largest_scale = np.maximum(np.maximum(x, y), z).astype(np.float64)
+    ratio = math.log(cube.side / (2 * EXTENT_SIGMAS)) - largest_scale
     with np.errstate(invalid="ignore"):
         depth = np.floor(ratio / math.log(2))
     return np.asarray(np.clip(depth, 0, DEPTH), np.int64)

@@ -65,8 +65,8 @@ def load_partition(plan: Plan, partition: Partition) -> Rows:
         rows_path, offsets_path = _paths(plan, chunk.index)
         first, last = np.load(offsets_path)[partition.index : partition.index + 2]
         if last > first:
-            spill = np.load(rows_path, mmap_mode="r")
-            rows[row_count : row_count + last - first] = spill[first:last]
+            spill_rows = np.load(rows_path, mmap_mode="r")
+            rows[row_count : row_count + last - first] = spill_rows[first:last]
             row_count += int(last - first)
     if row_count != partition.count:  # the barrier before this phase makes it impossible
         raise AssertionError(

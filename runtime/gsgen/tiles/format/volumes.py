@@ -147,8 +147,10 @@ class Region:
         """Return the approximate distance of points (ECEF) outside the region in metres."""
         longitude, latitude, height = geodetic(points)
         middle = self.west + self.width / 2
-        apart = np.abs((longitude - middle + np.pi) % (2 * np.pi) - np.pi)
-        east = np.maximum(apart - self.width / 2, 0) * np.cos(latitude) * _EQUATOR_RADIUS
+        longitude_distance = np.abs((longitude - middle + np.pi) % (2 * np.pi) - np.pi)
+        east = (
+            np.maximum(longitude_distance - self.width / 2, 0) * np.cos(latitude) * _EQUATOR_RADIUS
+        )
         north = (
             np.maximum(np.maximum(self.south - latitude, latitude - self.north), 0)
             * _EQUATOR_RADIUS

@@ -75,7 +75,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     if not 0 <= quality < len(SPZ_QUALITIES):
         raise ValueInvalid(str(quality), where="quality", expected=f"0 to {len(SPZ_QUALITIES) - 1}")
     settings = SPZ_QUALITIES[quality]
-    fraction = _fractional_bits(local, settings, finest=quality == 0)
+    fraction = _fractional_bits(local, settings, is_finest=quality == 0)
     content = streams.encode(
         local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=settings.sh_bits
     )
@@ -101,7 +101,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     return container.pack(frame, content), decoded
 
 
-def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
+def _fractional_bits(local: Splats, quality: Quality, *, is_finest: bool) -> int:
     """Choose the fractional bits of SPZ positions: more for small splats, fewer for far splats.
 
     1. The far ones win: 24 bits have to hold the largest coordinate.
@@ -116,11 +116,11 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
             expected=f"{streams.COORDINATE_LIMIT} or less",
         )
     room = math.floor(math.log2(streams.COORDINATE_LIMIT / max(reach, 2.0**-8)))
-    small = float(np.quantile(local.log_scale.max(axis=1), 0.1))
-    fine = math.ceil(math.log2(quality.steps) - max(small, -30.0) / math.log(2))
-    if finest:
-        fine = max(fine, _FINEST_BITS)
-    return max(0, min(fine, room, _MAX_BITS))
+    small_log_scale = float(np.quantile(local.log_scale.max(axis=1), 0.1))
+    fine_bits = math.ceil(math.log2(quality.steps) - max(small_log_scale, -30.0) / math.log(2))
+    if is_finest:
+        fine_bits = max(fine_bits, _FINEST_BITS)
+    return max(0, min(fine_bits, room, _MAX_BITS))
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:

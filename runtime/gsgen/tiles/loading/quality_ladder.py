@@ -49,8 +49,10 @@ class TileQualities:
     def __init__(self, ladder: QualityLadder) -> None:
         self.ladder = ladder
         self.gpu_quality: Int64[np.ndarray, " n"] = np.full(len(ladder.size), -1)
-        coarsest = ladder.size[:, -1]
-        self.coarsest_size = np.where(np.isfinite(coarsest), coarsest, 0).astype(np.int64)
+        coarsest_sizes = ladder.size[:, -1]
+        self.coarsest_size = np.where(np.isfinite(coarsest_sizes), coarsest_sizes, 0).astype(
+            np.int64
+        )
 
     def next_quality(self, tile: int) -> int:
         """Return the quality at which a tile is requested next; called on threads."""
@@ -91,17 +93,17 @@ def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | N
         except TilesetInvalid:
             return None
         ladder[quality] = tuple(sibling.tiles())
-    same = all(_is_same_tree(tiles, sibling) for sibling in ladder.values())
-    if len(ladder) != count or not same:
+    have_same_tree = all(_is_same_tree(tiles, sibling) for sibling in ladder.values())
+    if len(ladder) != count or not have_same_tree:
         return None
-    finest = tileset.metadata.get("quality", 0)
-    if not isinstance(finest, int) or not 0 <= finest < count - 1:
+    finest_quality = tileset.metadata.get("quality", 0)
+    if not isinstance(finest_quality, int) or not 0 <= finest_quality < count - 1:
         return None
     absent = [np.inf] * count
     return QualityLadder(
-        tiles=tuple(ladder.values())[finest:],
-        size=np.array([size or absent for size in sizes], np.float64)[:, finest:],
-        quality_scores=np.array([SSIM[quality] for quality in ladder])[finest:],
+        tiles=tuple(ladder.values())[finest_quality:],
+        size=np.array([size or absent for size in sizes], np.float64)[:, finest_quality:],
+        quality_scores=np.array([SSIM[quality] for quality in ladder])[finest_quality:],
     )
 
 

@@ -154,13 +154,13 @@ def level_cut(root: Tile, level: int) -> Iterator[tuple[Tile, Content]]:
     """
     pending = [(root, level)]
     while pending:
-        tile, refinements = pending.pop()
-        is_cut_here = not tile.children or (refinements == 0 and bool(tile.contents))
+        tile, refinement_count = pending.pop()
+        is_cut_here = not tile.children or (refinement_count == 0 and bool(tile.contents))
         if is_cut_here or tile.refine == "ADD":
             for content in tile.contents:
                 yield tile, content
         if not is_cut_here:
-            below = refinements - 1 if tile.contents else refinements
+            below = refinement_count - 1 if tile.contents else refinement_count
             pending += [(child, below) for child in reversed(tile.children)]
 
 
@@ -268,13 +268,13 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
         len(columns) * (width + _PICTURE_GAP) - _PICTURE_GAP,
         len(CAMERA_DISTANCES) * (height + _CAPTION_HEIGHT + _PICTURE_GAP) - _PICTURE_GAP,
     )
-    sheet: Any = Image.new("RGB", size, (40, 40, 40))
-    drawing = ImageDraw.Draw(sheet)
+    contact_sheet: Any = Image.new("RGB", size, (40, 40, 40))
+    drawing = ImageDraw.Draw(contact_sheet)
     for column, name in enumerate(columns):
         for row, distance in enumerate(CAMERA_DISTANCES):
             x, y = column * (width + _PICTURE_GAP), row * (height + _CAPTION_HEIGHT + _PICTURE_GAP)
             picture = np.rint(score.pictures[name][distance] * 255).astype(np.uint8)
-            sheet.paste(Image.fromarray(picture), (x, y + _CAPTION_HEIGHT))
+            contact_sheet.paste(Image.fromarray(picture), (x, y + _CAPTION_HEIGHT))
             text = f"{distance}: {score.splats:,} splats"
             if name in levels:
                 entry = levels[name]
@@ -283,4 +283,4 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
                     f"SSIM {entry.ssim[distance]:.4f}"
                 )
             drawing.text((x + 4, y + 3), text, fill=(240, 240, 240))
-    return np.asarray(sheet)
+    return np.asarray(contact_sheet)

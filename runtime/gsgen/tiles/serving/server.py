@@ -132,12 +132,12 @@ class _Handler(LocalHandler):
                 headers=[("Content-Range", f"bytes */{status.st_size}")],
             )
             return
-        partial = span.size < status.st_size
+        is_partial = span.size < status.st_size
         headers = [("Content-Length", str(span.size))]
-        if partial:
+        if is_partial:
             last = span.start + span.size - 1
             headers.append(("Content-Range", f"bytes {span.start}-{last}/{status.st_size}"))
-        code = HTTPStatus.PARTIAL_CONTENT if partial else HTTPStatus.OK
+        code = HTTPStatus.PARTIAL_CONTENT if is_partial else HTTPStatus.OK
         self._head(code, file, etag, headers)
         if with_body:
             self._send_body(file, span, cut=failure == "cut")

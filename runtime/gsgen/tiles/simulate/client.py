@@ -95,7 +95,7 @@ def simulate(
         prefetch = PathPrefetch(tree, path, view.frustum, view.max_error)
     planner = RequestPlanner(tree, link, recorder, prefetch)
     loaded = np.array([not tile.contents for tile in tree.tiles])
-    shares, received = [], []
+    drawn_shares, received = [], []
     for pose in path:
         while (delivery := link.advance(pose.time)) is not None:
             loaded[delivery.tile] = True
@@ -107,12 +107,12 @@ def simulate(
         planner.frame(pose, cut, loaded)
         planner.fill(loaded)
         count = int(cut.selected.sum())
-        shares.append(int((cut.selected & loaded).sum()) / count if count else 1.0)
+        drawn_shares.append(int((cut.selected & loaded).sum()) / count if count else 1.0)
         received.append(recorder.bytes)
     return Simulation(
         policy=policy,
         metrics=recorder.summary(),
         times=tuple(pose.time for pose in path),
-        share_loaded=tuple(shares),
+        share_loaded=tuple(drawn_shares),
         received=tuple(received),
     )

@@ -125,10 +125,10 @@ class SimulatedLink:
             now = self._clock.now()
             # 1. Deliver a transfer that is complete.
             active = [entry for entry in self._transfers if entry.start <= now]
-            completed = [entry for entry in active if entry.remaining <= _DONE_BYTES]
-            if completed:
-                self._transfers.remove(completed[0])
-                return Delivery(completed[0].tile, now)
+            completed_transfers = [entry for entry in active if entry.remaining <= _DONE_BYTES]
+            if completed_transfers:
+                self._transfers.remove(completed_transfers[0])
+                return Delivery(completed_transfers[0].tile, now)
             if now >= end_time:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
@@ -141,7 +141,9 @@ class SimulatedLink:
             # 3. Move all transfers to that moment; until then each has an equal share of the rate.
             for entry in active:
                 received_bytes = share * (moment - now)
-                left = entry.remaining - received_bytes
+                remaining_bytes = entry.remaining - received_bytes
                 # Rounding of a late time may leave a part of a byte.
-                entry.remaining = 0.0 if left <= 2 * share * math.ulp(moment) else left
+                entry.remaining = (
+                    0.0 if remaining_bytes <= 2 * share * math.ulp(moment) else remaining_bytes
+                )
             self._clock.time = moment

@@ -28,8 +28,8 @@ def read_path(path: Path) -> list[Pose]:
     """
     rows = _read_table(path, PATH_COLUMNS)
     lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    if (short := np.flatnonzero(lengths < _MIN_VECTOR_LENGTH)).size:
-        line = int(short[0])
+    if (short_vectors := np.flatnonzero(lengths < _MIN_VECTOR_LENGTH)).size:
+        line = int(short_vectors[0])
         raise _refuse(path, line + 2, f"quaternion {rows[line, 4:].tolist()}", "a length above 0")
     quaternions = rows[:, 4:] / lengths[:, None]
     return [

@@ -66,7 +66,7 @@ class EventLog:
         frame: SessionFrame,
     ) -> None:
         """Write the events of a streaming frame to the log."""
-        arrived = [result for result in received if result.error is None]
+        arrived_tiles = [result for result in received if result.error is None]
         event = {
             "t": time,
             "planes": frustum.planes.tolist(),
@@ -75,8 +75,10 @@ class EventLog:
             "focal": frustum.focal,
             "flat": frustum.flat,
             "started": list(started),
-            "received": [result.tile for result in arrived],
-            "received_qualities": [result.content.quality for result in arrived if result.content],
+            "received": [result.tile for result in arrived_tiles],
+            "received_qualities": [
+                result.content.quality for result in arrived_tiles if result.content
+            ],
             "failed": [
                 [result.tile, str(result.error), isinstance(result.error, StoreUnavailable)]
                 for result in received

@@ -99,9 +99,9 @@ class MetricsRecorder:
         self._is_unseen &= ~(cut.seen & loaded)
         entries = cut.selected & ~self._selected
         self._selected = cut.selected.copy()
-        hits = int((entries & loaded).sum())
-        self._hit_count += hits
-        self._delays += [0.0] * hits
+        hit_count = int((entries & loaded).sum())
+        self._hit_count += hit_count
+        self._delays += [0.0] * hit_count
         for tile in np.flatnonzero(entries & ~loaded).tolist():
             self._waiting.setdefault(tile, []).append(time)
         self._frames += 1

@@ -116,7 +116,7 @@ def _read_contents(
     """
     reader = _ContentReader(inspected, decode=decode, deadline=deadline)
     files: dict[str, _FileResult] = {}
-    late: list[str] = []
+    late_files: list[str] = []
     with warnings.catch_warnings(), ThreadPoolExecutor(_threads()) as executor:
         warnings.simplefilter("ignore", FormatWarning)  # GT019 says so
         results = _read_in_order(executor, reader.read, pairs if decode else _distinct_files(pairs))
@@ -128,7 +128,7 @@ def _read_contents(
             if known is None and result.error is not None:
                 inspected.note(result.error)
             files[content.uri] = result
-            late += [content.uri] if result.is_late else []
+            late_files += [content.uri] if result.is_late else []
             inspected.contents.append(
                 InspectedContent(
                     tile=tile,
@@ -138,10 +138,10 @@ def _read_contents(
                     values=result.values,
                 )
             )
-    if late:
+    if late_files:
         inspected.undecoded_reason = (
-            f"{len(late):,} of {len(pairs):,} contents were not decoded when the time was up, "
-            f"the first is {late[0]}"
+            f"{len(late_files):,} of {len(pairs):,} contents were not decoded when the time was up, "
+            f"the first is {late_files[0]}"
         )
 
 

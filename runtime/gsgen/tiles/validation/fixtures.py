@@ -276,8 +276,8 @@ def tiles_draft_names() -> TilesetSketch:
         text = json.dumps(document)
         for name in ("ROTATION", "SCALE"):
             text = text.replace(f"KHR_gaussian_splatting:{name}", f"_{name}")
-        renamed: dict[str, object] = json.loads(text)
-        return renamed
+        renamed_document: dict[str, object] = json.loads(text)
+        return renamed_document
 
     files = {uri: edit_glb(data, document=rename) for uri, data in sketch.files.items()}
     sketch.files.update(files)

@@ -161,8 +161,8 @@ def _capture_layout(values: tuple[Any, ...]) -> _CheckpointLayout:
     if len(values) != _CAPTURE_LENGTH or not all(tensors[1:]) or tensors[0]:
         raise unsupported_content_error(values, is_script=False)
     # capture() lists scales before quaternions, and harmonics before both.
-    _, means, dc, rest, scales, quats, opacities, *_ = values
-    ordered = (means, quats, scales, opacities, dc, rest)
+    _, means, dc, rest, scales, quaternions, opacities, *_ = values
+    ordered = (means, quaternions, scales, opacities, dc, rest)
     return _CheckpointLayout(
         names=_SPLATFACTO, tensors=dict(zip(_SPLATFACTO, ordered, strict=True))
     )

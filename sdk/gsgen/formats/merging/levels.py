@@ -135,9 +135,9 @@ def _select_largest(
 def stored_degree(mixture: Mixture) -> int:
     """Return the SH degree worth storing: higher bands hold less than 1 % of the energy."""
     squares = np.square(mixture.sh, dtype=np.float64).sum(axis=2)
-    energy = (squares * mixture.mass[:, None]).sum(axis=0)  # no BLAS: its order may vary
-    total = float(energy.sum())
+    sh_energy = (squares * mixture.mass[:, None]).sum(axis=0)  # no BLAS: its order may vary
+    total = float(sh_energy.sum())
     degree = SH_COUNTS.index(mixture.sh.shape[1])
-    while degree and float(energy[SH_COUNTS[degree - 1] :].sum()) < BAND_ENERGY * total:
+    while degree and float(sh_energy[SH_COUNTS[degree - 1] :].sum()) < BAND_ENERGY * total:
         degree -= 1
     return degree

@@ -62,7 +62,9 @@ def nearest_codes(
 def _initial_codebook(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
     """Return an initial codebook for ``values``, spaced by the cube root of their density."""
     ranks = np.linspace(0, len(ascending) - 1, _KNOT_COUNT + 1).astype(np.int64)
-    knots = ascending[ranks]
-    cumulative_density = np.append(0, np.cumsum(np.diff(knots) ** (2 / 3)))
+    codebook_knots = ascending[ranks]
+    cumulative_density = np.append(0, np.cumsum(np.diff(codebook_knots) ** (2 / 3)))
     quantiles = (np.arange(CODEBOOK_SIZE) + 0.5) / CODEBOOK_SIZE
-    return np.asarray(np.interp(quantiles * cumulative_density[-1], cumulative_density, knots))
+    return np.asarray(
+        np.interp(quantiles * cumulative_density[-1], cumulative_density, codebook_knots)
+    )

@@ -28,11 +28,11 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
         FileTruncated: The image has too few pixels.
         HeaderMalformed: The image has far too many pixels, or another ``width``.
     """
-    pillow = _pillow(where)
+    pillow_module = _pillow(where)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pillow.DecompressionBombWarning)
-            opened = pillow.open(BytesIO(content), formats=["WEBP"])
+            warnings.simplefilter("ignore", pillow_module.DecompressionBombWarning)
+            opened = pillow_module.open(BytesIO(content), formats=["WEBP"])
         _require_size(opened.size, needed, where, width)
         pixels = np.asarray(opened.convert("RGBA"))
     # Pillow documents OSError, but damage also raises ValueError, SyntaxError and others.

@@ -78,8 +78,8 @@ def _decode_positions(
         return stream.view("<f2").reshape(count, 3).astype(np.float32)
     parts = stream.reshape(count, 3, 3).astype(np.int32)
     unsigned = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
-    signed = unsigned - ((unsigned & 0x800000) << 1)
-    return np.ldexp(signed.astype(np.float32), -fractional_bits)
+    signed_values = unsigned - ((unsigned & 0x800000) << 1)
+    return np.ldexp(signed_values.astype(np.float32), -fractional_bits)
 
 
 def _decode_byte_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarray, "n 4"]:
@@ -128,8 +128,8 @@ def _encode_positions(
 
 
 def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
-    signed = rotation[:, 1:] * np.where(rotation[:, :1] < 0, -1, 1)
-    return to_bytes(signed * 127.5 + 127.5).tobytes()
+    signed_values = rotation[:, 1:] * np.where(rotation[:, :1] < 0, -1, 1)
+    return to_bytes(signed_values * 127.5 + 127.5).tobytes()
 
 
 def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:

@@ -50,13 +50,13 @@ class ModelFacts:
         constant = {tensor.name for tensor in graph.initializer}
         constant |= {tensor.values.name for tensor in graph.sparse_initializer}
         for node in graph.node:
-            repeats = (
+            repeated_outputs = (
                 node.domain in MAIN_DOMAIN
                 and node.op_type not in RANDOM_OPERATORS
                 and (node.domain, node.op_type) not in function_keys
                 and node.op_type not in CONTROL_FLOW
             )
-            if repeats and constant.issuperset(filter(None, node.input)):
+            if repeated_outputs and constant.issuperset(filter(None, node.input)):
                 constant.update(filter(None, node.output))
         return frozenset(value.name for value in graph.output if value.name in constant)
 

@@ -52,7 +52,7 @@ from gsgen.sdk.exporting.pipeline import (
     ExportOptions,
     Progress,
     check_contract,
-    silent,
+    no_progress,
 )
 
 _IR_VERSION = 8
@@ -109,7 +109,7 @@ def export_constant(
     opset: int = OPSET,
     target: str = "core",
     settings: Settings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Exported:
     """Export a static scene as an ONNX generator that outputs equal Gaussians in every frame.
 

@@ -47,6 +47,6 @@ def rewrite_and_embed(
 def with_profile(manifest: AnyManifest, model: ir.Model) -> AnyManifest:
     """Return the manifest with the operator profile that covers the graph's operators, if any."""
     names = {node.op_type for node in model.graph.all_nodes()}
-    own = all(node.domain in MAIN_DOMAIN for node in model.graph.all_nodes())
-    profile = smallest_profile(names, opset_of(model)) if own else None
+    has_main_domains = all(node.domain in MAIN_DOMAIN for node in model.graph.all_nodes())
+    profile = smallest_profile(names, opset_of(model)) if has_main_domains else None
     return replace(manifest, operator_profile=profile)

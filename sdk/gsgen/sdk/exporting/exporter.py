@@ -33,7 +33,7 @@ from gsgen.sdk.exporting.pipeline import (
     ExportOptions,
     Progress,
     check_contract,
-    silent,
+    no_progress,
 )
 from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, PreparedExport, default_dtype, prepare_export
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
@@ -93,7 +93,7 @@ def export(
     pictures: SourcePictures | None = None,
     vectors: int = VECTOR_COUNT,
     settings: Settings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Exported:
     """Export a torch generator as an ONNX file that conforms and agrees with torch.
 

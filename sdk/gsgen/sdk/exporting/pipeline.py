@@ -8,8 +8,8 @@ __all__ = [
     "Exported",
     "Progress",
     "check_contract",
+    "no_progress",
     "probes_of",
-    "silent",
 ]
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ OPSET = SAFEST_OPSET
 VECTOR_COUNT = 2
 
 
-def silent(_: str) -> None:
+def no_progress(_: str) -> None:
     """Ignore a progress message: the default progress callback of an export."""
 
 

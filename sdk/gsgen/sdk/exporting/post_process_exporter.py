@@ -41,8 +41,8 @@ from gsgen.sdk.exporting.pipeline import (
     ExportOptions,
     Progress,
     check_contract,
+    no_progress,
     probes_of,
-    silent,
 )
 from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
@@ -68,7 +68,7 @@ def export_post_process(
     target: str = "core",
     rewrite: bool = True,
     settings: Settings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Exported:
     """Export a post-process model as an ONNX file that conforms and agrees with torch.
 

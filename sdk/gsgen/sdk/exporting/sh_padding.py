@@ -37,8 +37,8 @@ def padded_harmonics(
         padded = torch.nn.functional.pad(output.sh, (0, 0, 0, missing))
         return replace(output, sh=padded)
 
-    hook = generator.register_forward_hook(pad)
+    forward_hook = generator.register_forward_hook(pad)
     try:
         yield notes
     finally:
-        hook.remove()
+        forward_hook.remove()

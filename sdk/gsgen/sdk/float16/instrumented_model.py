@@ -215,11 +215,11 @@ def _round_output(graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, num
     value = node.outputs[index]
     name, readers = value.name, list(value.uses())
     value.name = f"float16_raw_{number}_{index}"
-    behind = _rounding_nodes(value, f"float16_out_{number}_{index}")
-    behind.append(_select_node(flag, behind[-1].outputs[0], value))
-    result = behind[-1].outputs[0]
+    rounding_nodes = _rounding_nodes(value, f"float16_out_{number}_{index}")
+    rounding_nodes.append(_select_node(flag, rounding_nodes[-1].outputs[0], value))
+    result = rounding_nodes[-1].outputs[0]
     result.name, result.shape = name, value.shape
-    graph.insert_after(node, behind)
+    graph.insert_after(node, rounding_nodes)
     for use in readers:
         use.node.replace_input_with(use.idx, result)
     for position, output in enumerate(graph.outputs):

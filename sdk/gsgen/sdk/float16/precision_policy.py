@@ -101,7 +101,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
     Case 4: the operators between such an epsilon and the division.
     """
     reasons: dict[ir.Node, str] = {}
-    frontier: list[ir.Node] = []
+    pending_nodes: list[ir.Node] = []
     for node in nodes:
         if not convertible_indices(node, opset)[1]:
             reasons[node] = "it decides"  # Case 1
@@ -117,15 +117,15 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
                 and ((size > 0) & (size < FLOAT16_SMALLEST_NORMAL)).any()
             ):
                 reasons[node] = "a guard that float16 makes zero"  # Case 3
-                frontier.append(node)
-    while frontier:
-        for reader in (use.node for v in frontier.pop().outputs for use in v.uses()):
+                pending_nodes.append(node)
+    while pending_nodes:
+        for reader in (use.node for v in pending_nodes.pop().outputs for use in v.uses()):
             is_division = is_op(reader, "Div", "Mul")
             if reader in reasons or not (is_division or is_op(reader, *_GUARD_CHAIN_OPERATORS)):
                 continue
             reasons[reader] = "between a guard and its division"  # Case 4
             if not is_division:
-                frontier.append(reader)
+                pending_nodes.append(reader)
     return reasons
 
 

@@ -159,9 +159,10 @@ def _schema(node: ir.Node, opset: int) -> onnx.defs.OpSchema | None:
 
 
 def _floats(
-    values: Collection[ir.Value | None], formals: Collection["onnx.defs.OpSchema.FormalParameter"]
+    values: Collection[ir.Value | None],
+    formal_parameters: Collection["onnx.defs.OpSchema.FormalParameter"],
 ) -> list[tuple[int, "onnx.defs.OpSchema.FormalParameter"]]:
-    listed = list(formals)  # the last one may be variadic
+    listed = list(formal_parameters)  # the last one may be variadic
     return [
         (index, listed[min(index, len(listed) - 1)])
         for index, value in enumerate(values)
@@ -221,12 +222,14 @@ def _store_table(
     start = weight(graph, f"{value.name}_start", table.start)
     scaled = new_node("Mul", [numbers.outputs[0], step], name, dtype=FLOAT, shape=value.shape)
     name = f"{value.name}_moved"
-    shifted = new_node("Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape)
-    for node in (shifted, scaled, numbers):
+    shifted_table = new_node(
+        "Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape
+    )
+    for node in (shifted_table, scaled, numbers):
         _insert_after(graph, value, node)
     for node, index in readers:
-        node.replace_input_with(index, shifted.outputs[0])
-    _convert_value(graph, shifted.outputs[0], half_inputs, is_half=False)
+        node.replace_input_with(index, shifted_table.outputs[0])
+    _convert_value(graph, shifted_table.outputs[0], half_inputs, is_half=False)
 
 
 def _convert_value(

@@ -67,7 +67,7 @@ class LiveLevel:
     adapter: str  # the adapter that it ran on
     # execution provider of each node without capture; None without a session
     nodes: tuple[Node, ...] | None
-    accepted: bool  # whether ONNX Runtime accepted to capture the model
+    is_capture_accepted: bool  # whether ONNX Runtime accepted to capture the model
     stop: EarlyStop | None  # the reason for an early end, if any
     frames: tuple[Frame, ...]  # all frames; the first one was captured, the others were replayed
 
@@ -75,13 +75,15 @@ class LiveLevel:
     def refusal(self) -> str:
         """Why ONNX Runtime refused to capture the model's graph; empty if it did not."""
         stop = self.stop
-        has_ended_early = stop is not None and stop.phase == "captured" and not self.accepted
+        has_ended_early = (
+            stop is not None and stop.phase == "captured" and not self.is_capture_accepted
+        )
         return stop.message if stop is not None and has_ended_early else ""
 
     @property
     def state(self) -> str:
         """The result of the graph capture as one line of text."""
-        if self.accepted:
+        if self.is_capture_accepted:
             replayed = sum(frame.replayed is not None for frame in self.frames)
             return f"accepted, {max(replayed - 1, 0)} replays"
         return f"refused: {self.refusal}" if self.refusal else "not tried"
@@ -191,7 +193,7 @@ def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> LiveL
         subject=probe_runs.subject,
         adapter=_adapter(events),
         nodes=None if placed_nodes is None else tuple(Node(*entry) for entry in placed_nodes),
-        accepted=any(event["event"] == "accepted" for event in events),
+        is_capture_accepted=any(event["event"] == "accepted" for event in events),
         stop=_find_early_stop(execution),
         frames=frames,
     )

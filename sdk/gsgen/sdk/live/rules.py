@@ -60,7 +60,7 @@ def capture_accepted(live: "LiveLevel") -> Iterator[Violation]:
     Hint:
         Remove If, Loop and Scan, and any operator that ONNX Runtime's message names.
     """
-    if not live.accepted:
+    if not live.is_capture_accepted:
         yield Violation.at("graph", live.refusal or live.state, "a session that captures")
 
 

@@ -29,8 +29,8 @@ def safe_normalize(
         vector: Any vectors, along the last axis.
         smallest: Lower bound of the squared length, above float32's smallest normal 1.2e-38.
     """
-    squared = (vector * vector).sum(dim=-1, keepdim=True)
-    return vector * torch.rsqrt(squared.clamp(min=smallest))
+    squared_length = (vector * vector).sum(dim=-1, keepdim=True)
+    return vector * torch.rsqrt(squared_length.clamp(min=smallest))
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, "... 3 3"]:

@@ -121,9 +121,9 @@ class SilencePadding(_Repair):
         graph.append(live)
         for value in outputs:
             zero = weight(graph, f"{value.name}_zero", np.zeros((), numpy_dtype(value)))
-            masked = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
-            masked.outputs[0].type, masked.outputs[0].shape = value.type, value.shape
-            append_output(graph, value, [masked])
+            masked_value = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
+            masked_value.outputs[0].type, masked_value.outputs[0].shape = value.type, value.shape
+            append_output(graph, value, [masked_value])
         return True
 
 

@@ -162,9 +162,9 @@ def _no_module(name: str, missing_module: str, search_folder: Path) -> UnknownNa
     """Return the error for a module that cannot be found, with a similar file name as a hint."""
     parent = search_folder.joinpath(*missing_module.split(".")[:-1])
     prefix = missing_module.rpartition(".")[0]
-    stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
-    stems += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
-    known = [f"{prefix}.{stem}" if prefix else stem for stem in stems]
+    module_stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
+    module_stems += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
+    known = [f"{prefix}.{stem}" if prefix else stem for stem in module_stems]
     close = get_close_matches(missing_module, known, n=1, cutoff=0.5)
     hint = (
         f"Did you mean {close[0]!r}?"

@@ -23,7 +23,7 @@ def outputs_of_a_right_scene(kind: Kind, seed: int) -> ModelOutputs:
     """Return packed rows of a scene whose size, units, appearance and dtype are drawn at random."""
     random = np.random.default_rng([seed, 5])
     count = int(np.exp(random.uniform(np.log(100), np.log(4000))))
-    parts = scene(kind, count, seed, trained=bool(random.random() < 0.7))
+    parts = scene(kind, count, seed, has_training=bool(random.random() < 0.7))
     size, thickness = np.exp(random.uniform(np.log((0.6, 0.4)), np.log((2, 2.5))))
     parts = replace(parts, scale=parts.scale * (size, size, size * thickness))
     degree = (None, 0, 1, 2, 3)[random.integers(5)]

@@ -106,14 +106,16 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
                 is_same_center = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
                 drawn_elsewhere |= is_same_center & drawn[other_index]
         hidden_rows = is_hidden_in_view & drawn_elsewhere
-        culled = int(np.count_nonzero(hidden_rows))
-        is_significant = culled > _MIN_CULLED_SHARE * max(int(np.count_nonzero(drawn[index])), 1)
+        culled_count = int(np.count_nonzero(hidden_rows))
+        is_significant = culled_count > _MIN_CULLED_SHARE * max(
+            int(np.count_nonzero(drawn[index])), 1
+        )
         if (
             is_significant
             and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BARE_SHARE
         ):
             actual = (
-                f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}, and "
+                f"{culled_count} rows in the middle of the view have opacity 0 at {probe.label!r}, and "
                 "nothing is drawn in place of them"
             )
             expected = "an opacity above 0, as other cameras get"

@@ -273,7 +273,7 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Update gsgen.
     """
-    if subject.parsed is not None and subject.parsed.newer and subject.parsed.version:
+    if subject.parsed is not None and subject.parsed.is_newer_version and subject.parsed.version:
         major, minor = subject.parsed.version
         yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT_VERSION} or older")
 

@@ -52,12 +52,12 @@ class Alignment:
 def measure_alignment(sample: DrawnSample) -> Alignment | None:
     """Measure how discs or needles align with neighbouring Gaussians; None without such shapes."""
     scatter = sample.scatter_eigenvalues
-    discs, needles = is_of_shape(sample, 0), is_of_shape(sample, 2)
-    if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < MAX_PLANAR_SCATTER:
-        share = sample.neighbour_alignment(0)[discs].mean()
+    disc_mask, needle_mask = is_of_shape(sample, 0), is_of_shape(sample, 2)
+    if _is_enough(disc_mask) and (limit := scatter[disc_mask, 0].mean()) < MAX_PLANAR_SCATTER:
+        share = sample.neighbour_alignment(0)[disc_mask].mean()
         return Alignment(float((share - limit) / (RANDOM_DEVIATION - limit)), 0, "plane")
-    if _is_enough(needles) and (limit := scatter[needles, 2].mean()) > MIN_LINEAR_SCATTER:
-        share = sample.neighbour_alignment(2)[needles].mean()
+    if _is_enough(needle_mask) and (limit := scatter[needle_mask, 2].mean()) > MIN_LINEAR_SCATTER:
+        share = sample.neighbour_alignment(2)[needle_mask].mean()
         return Alignment(float((limit - share) / (limit - RANDOM_DEVIATION)), 2, "line")
     return None
 

@@ -25,11 +25,11 @@ _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
 
 
-def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
-    """Yield a violation for each output with NaN or infinity in the rows that ``among`` selects."""
+def _not_finite(rows: Rows, row_mask: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
+    """Yield a violation for each output with NaN or infinity in the rows that ``row_mask`` selects."""
     if not checked:
         return
-    is_non_finite_row = ~np.isfinite(rows.float32_columns).all(axis=0) & among
+    is_non_finite_row = ~np.isfinite(rows.float32_columns).all(axis=0) & row_mask
     expected = "finite values"
     if (
         rows.packed.dtype == np.float16
@@ -46,7 +46,7 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
     color = rows.color
     if color is None or not color.size:
         return
-    invalid = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
+    invalid = (rows.color_peak >= _INF_BITS[color.itemsize]) & row_mask
     examples = np.zeros((len(rows), 1), color.dtype)
     first = np.flatnonzero(invalid)[:_MAX_EXAMPLES]  # the rows in the report
     is_non_finite = ~np.isfinite(color[first])

@@ -187,10 +187,10 @@ def _from_union(options: tuple[Any, ...], value: Any) -> Any:
     if value is None:
         return None
     for option in options:
-        unannotated = get_args(option)[0] if get_origin(option) is Annotated else option
-        origin = get_origin(unannotated)
+        bare_type = get_args(option)[0] if get_origin(option) is Annotated else option
+        origin = get_origin(bare_type)
         if isinstance(value, (list, tuple)) == (origin is tuple):
-            if isinstance(value, str) != (unannotated is str or origin is Literal):
+            if isinstance(value, str) != (bare_type is str or origin is Literal):
                 continue
             if option is not type(None):
                 return from_json(option, value)

@@ -31,8 +31,8 @@ def diff(
     from gsgen.contract.tools.model_diff import compare_models
 
     facts, outputs, reason = compare_models(first, second)
-    differing = [output for output in outputs if output.largest > tolerance]
-    code = ExitCode.FAILURE if facts or differing or reason else ExitCode.SUCCESS
+    differing_outputs = [output for output in outputs if output.largest > tolerance]
+    code = ExitCode.FAILURE if facts or differing_outputs or reason else ExitCode.SUCCESS
     if as_json:
         document = {
             "facts": [asdict(fact) for fact in facts],

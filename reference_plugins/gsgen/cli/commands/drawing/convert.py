@@ -153,13 +153,13 @@ def convert(
     result, notes = _with_reported_warnings(run, sources)
     document = _as_dict(result)
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
-    losses = [
+    loss_lines = [
         f"--decimate merged {source_count:,} splats into {result_count:,}: detail is lost"
         for source_count, result_count in merged
         if result_count < source_count
     ]
-    document["notes"] = notes + losses
-    text = "\n".join([_as_text(result, edited=bool(edits)), *losses])
+    document["notes"] = notes + loss_lines
+    text = "\n".join([_as_text(result, has_edits=bool(edits)), *loss_lines])
     text = "\n\n".join([*map(statistics_text, summaries), text])
     typer.echo(json.dumps(document, indent=2) if as_json else text)
 
@@ -263,7 +263,7 @@ def _as_dict(result: "Conversion") -> dict[str, object]:
     return document
 
 
-def _as_text(result: "Conversion", *, edited: bool) -> str:
+def _as_text(result: "Conversion", *, has_edits: bool) -> str:
     source_count, result_count = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
@@ -281,7 +281,7 @@ def _as_text(result: "Conversion", *, edited: bool) -> str:
         else ""
     )
     lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
-    lines += [f"lost: {loss}" for loss in result.lost]
+    lines += [f"lost: {loss}" for loss in result.lost_features]
     changed_differences = [difference for difference in result.differences if difference.largest]
     if changed_differences:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
@@ -290,6 +290,6 @@ def _as_text(result: "Conversion", *, edited: bool) -> str:
         for difference in changed_differences
     ]
     lines += not_compared
-    if result.degree and not changed_differences and not result.lost and result.compared:
-        lines.append("nothing was lost by the format" if edited else "nothing was lost")
+    if result.degree and not changed_differences and not result.lost_features and result.compared:
+        lines.append("nothing was lost by the format" if has_edits else "nothing was lost")
     return "\n".join(lines)

@@ -58,13 +58,13 @@ class _Targets(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def _unknown(word: str, plugins: list[str], typed: list[str]) -> UnknownName:
+def _unknown(word: str, plugins: list[str], typed_arguments: list[str]) -> UnknownName:
     from gsgen.formats.codecs import codec_of_suffix
 
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
     module, _, name = word.rpartition(".")
-    pages = [entry for entry in typed if Path(entry).suffix.lower() in PAGE_SUFFIXES]
+    pages = [entry for entry in typed_arguments if Path(entry).suffix.lower() in PAGE_SUFFIXES]
     if pages and path.suffix:
         hint = f"`gsgen export html {word} -o {pages[0]}` writes a page."
     elif codec_of_suffix(path):

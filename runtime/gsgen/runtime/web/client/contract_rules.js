@@ -159,7 +159,7 @@ class Candidate$manifest_inference extends py.Record {
 static fields = [["manifest", null, null], ["guesses", null, null]];
 }
 class Parsed$manifest_io extends py.Record {
-static fields = [["manifest", () => GeneratorManifest$manifest, null], ["complaints", () => Complaint$manifest_io, () => []], ["version", null, null], ["newer", null, () => false]];
+static fields = [["manifest", () => GeneratorManifest$manifest, null], ["complaints", () => Complaint$manifest_io, () => []], ["version", null, null], ["is_newer_version", null, () => false]];
 }
 class Complaint$manifest_io extends py.Record {
 static fields = [["cause", null, null], ["where", null, null], ["actual", null, null], ["expected", null, null]];
@@ -560,7 +560,7 @@ yield py.violation(`tensor ${py.str(name)}`, `key ${py.str(py.repr(py.item(contr
 }
 function* manifest_minor_known$manifest(subject) {
   let major, minor;
-if (((subject.parsed != null) && py.bool(subject.parsed.newer) && py.bool(subject.parsed.version))) {
+if (((subject.parsed != null) && py.bool(subject.parsed.is_newer_version) && py.bool(subject.parsed.version))) {
 [major, minor] = subject.parsed.version;
 yield py.violation("manifest contract", `${py.str(major)}.${py.str(minor)}`, `${py.str("1.0")} or older`);
 }
@@ -1834,23 +1834,23 @@ function _version_text$manifest_io(version) {
 return `${py.str(py.item(version, 0))}.${py.str(py.item(version, 1))}`;
 }
 function _parse_body$manifest_io(document, version) {
-  let complaints, faults, kind, manifest, newer;
+  let complaints, faults, is_newer_version, kind, manifest;
 kind = py.get(document, "kind");
 if ((!py.contains(MANIFEST_KINDS$0, kind))) {
 return _failed_parse$manifest_io("schema", "kind", _shorten$manifest_io(kind), `one of ${py.str(py.list(MANIFEST_KINDS$0).join(", "))}`);
 }
-newer = py.and((py.compare(version, CURRENT_VERSION$34) > 0), () => (!py.contains(UPGRADE_BY_VERSION$4, version)));
+is_newer_version = py.and((py.compare(version, CURRENT_VERSION$34) > 0), () => (!py.contains(UPGRADE_BY_VERSION$4, version)));
 document = upgrade$upgrades(document, version);
 faults = py.list(schema_faults$schema_check(document, publishedSchema(kind)));
-if (py.bool(newer)) {
+if (py.bool(is_newer_version)) {
 faults = [...(function* () { for (const fault of py.iter(faults)) if ((!py.eq(fault.validator, "additionalProperties"))) yield fault; })()];
 }
 complaints = py.list((function* () { for (const fault of py.iter(py.sorted(faults, _fault_path$manifest_io))) yield _complaint_from_fault$manifest_io(fault); })());
 if (py.bool(complaints)) {
-return new Parsed$manifest_io(null, complaints, version, newer);
+return new Parsed$manifest_io(null, complaints, version, is_newer_version);
 }
 manifest = py.fromJson(manifest_type$manifest(kind), document);
-return new Parsed$manifest_io(manifest, [], version, newer);
+return new Parsed$manifest_io(manifest, [], version, is_newer_version);
 }
 function upgrade$upgrades(document, version) {
   let major, minor;

@@ -164,10 +164,10 @@ def _check_tree(
             "the root tile of the subtree is not available", location, "a subtree with a root"
         )
     parents = (np.arange(1, len(tiles)) - 1) // branching
-    orphans = np.flatnonzero(tiles[1:] & ~tiles[parents])
-    if len(orphans):
+    orphan_tiles = np.flatnonzero(tiles[1:] & ~tiles[parents])
+    if len(orphan_tiles):
         raise _mismatch_error(
-            f"tile {orphans[0] + 1} is available, but its parent is not",
+            f"tile {orphan_tiles[0] + 1} is available, but its parent is not",
             document.at("tileAvailability"),
             "a tree",
         )

@@ -158,15 +158,15 @@ def _expand_subtree(
             expected=f"{len(tree.content_uris)}, as many as the tile has templates",
             fault=Fault.SUBTREE,
         )
-    available = np.flatnonzero(subtree.tiles)
-    count_tiles(len(available), f"{tree.location}, subtree {_tile_label(origin)}")
-    rows = {int(index): row for row, index in enumerate(available)}
+    available_tiles = np.flatnonzero(subtree.tiles)
+    count_tiles(len(available_tiles), f"{tree.location}, subtree {_tile_label(origin)}")
+    rows = {int(index): row for row, index in enumerate(available_tiles)}
     content_rows = [np.cumsum(bits) - 1 for bits in subtree.contents]
-    coordinates = _coordinates(tree, origin, available)
+    coordinates = _coordinates(tree, origin, available_tiles)
     first_child_index = tile_count(tree.branching, tree.subtree_levels)
     # Tiles stand breadth first: from the last one back, children are built before their parent.
     tiles_by_index: dict[int, Tile] = {}
-    for index in reversed([int(entry) for entry in available]):
+    for index in reversed([int(entry) for entry in available_tiles]):
         children = [index * tree.branching + 1 + k for k in range(tree.branching)]
         if children[0] < first_child_index:  # within this subtree; else the roots of other subtrees
             below = [tiles_by_index.pop(child) for child in children if child in tiles_by_index]
@@ -212,11 +212,11 @@ def _child_subtree_roots(
 
 
 def _coordinates(
-    tree: ImplicitTree, origin: TileCoordinates, available: np.ndarray
+    tree: ImplicitTree, origin: TileCoordinates, available_tiles: np.ndarray
 ) -> dict[int, TileCoordinates]:
     """Return the coordinates of a subtree's tiles, in the order of availability bits."""
     known = {0: origin}
-    for index in map(int, available[1:]):
+    for index in map(int, available_tiles[1:]):
         parent, k = divmod(index - 1, tree.branching)
         known[index] = known[parent].child(k)
     return known

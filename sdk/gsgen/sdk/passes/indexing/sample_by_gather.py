@@ -164,11 +164,11 @@ class _Sampler:
             pairs.append((pixel, masked_weight))
         return pairs
 
-    def _pixel_coordinate(self, shifted: ir.Value, size: int) -> ir.Value:
+    def _pixel_coordinate(self, shifted_coordinate: ir.Value, size: int) -> ir.Value:
         op, half = self.before.op, self.number(2)
         if self.aligned:
-            return op("Mul", op("Div", shifted, half), self.number(size - 1))
-        scaled = op("Sub", op("Mul", shifted, self.number(size)), self.number(1))
+            return op("Mul", op("Div", shifted_coordinate, half), self.number(size - 1))
+        scaled = op("Sub", op("Mul", shifted_coordinate, self.number(size)), self.number(1))
         return op("Div", scaled, half)
 
     def _clamp(self, value: ir.Value, last: ir.Value) -> ir.Value:

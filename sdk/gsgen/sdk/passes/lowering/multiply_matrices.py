@@ -46,9 +46,11 @@ class MultiplyMatrices(NodeRewrite):
         product = ir.Node("", "MatMul", operands, name=f"{node.name}_matrices")
         product.outputs[0].type = old.type
         axes = [-2 if index == 0 else -1 for index in vectors]
-        squeezed = _reshape_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
-        graph.insert_before(node, [product, squeezed])
-        product_value = squeezed.outputs[0]
+        squeezed_product = _reshape_axes(
+            graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result"
+        )
+        graph.insert_before(node, [product, squeezed_product])
+        product_value = squeezed_product.outputs[0]
         product_value.type, product_value.shape, name = old.type, old.shape, old.name
         ir.convenience.replace_all_uses_with(old, product_value, replace_graph_outputs=True)
         graph.remove(node, safe=True)

@@ -146,14 +146,14 @@ def _replace(node: ir.Node, sampled_line: _SampledLine) -> None:
     rows = write.op(
         "Reshape", transposed_plane, write.int64(common_coordinate, fixed_coordinate * channels)
     )
-    mix = _hat_weights(
+    mixed_samples = _hat_weights(
         write,
         node,
         write.op("Reshape", sampled_line.common_coordinate, write.int64(1, 1)),
         common_coordinate,
     )
     row = write.op(
-        "Reshape", write.op("MatMul", mix, rows), write.int64(fixed_coordinate, channels)
+        "Reshape", write.op("MatMul", mixed_samples, rows), write.int64(fixed_coordinate, channels)
     )
     samples = write.op(
         "MatMul", _hat_weights(write, node, sampled_line.fixed_coordinate, fixed_coordinate), row

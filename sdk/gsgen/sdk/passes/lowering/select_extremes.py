@@ -64,11 +64,11 @@ def _elementwise_extreme(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Va
             number = write.constant(np.asarray(bound).reshape(()), "bound")
             return write.op("Clip", x, *((number,) if kind == "Max" else (None, number)))
     # Case 2: compare and select
-    extreme = _replace_beyond(write, "Less" if kind == "Max" else "Greater", a, b)
+    extreme_value = _replace_beyond(write, "Less" if kind == "Max" else "Greater", a, b)
     if not (b.dtype is not None and b.dtype.is_floating_point()) or _is_finite(b):
-        return extreme
+        return extreme_value
     is_not_nan = write.op("Equal", b, b, dtype=ir.DataType.BOOL)
-    return write.op("Where", is_not_nan, extreme, b, dtype=b.dtype)
+    return write.op("Where", is_not_nan, extreme_value, b, dtype=b.dtype)
 
 
 def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:

@@ -129,10 +129,10 @@ def _trip_count(node: ir.Node, body: ir.Graph) -> int | str:
     if first is not None and not first.reshape(-1)[0]:
         return 0
     condition = _skip_identities(body.outputs[0])
-    continues = constant_of(condition)
-    if continues is not None and not continues.reshape(-1)[0]:
+    loop_condition = constant_of(condition)
+    if loop_condition is not None and not loop_condition.reshape(-1)[0]:
         return 1 if trip_count is None else min(1, max(0, int(trip_count.reshape(-1)[0])))
-    if continues is None and condition is not body.inputs[1]:
+    if loop_condition is None and condition is not body.inputs[1]:
         return "its end depends on data that differ between frames"
     if trip_count is None:
         return "its trip count differs between frames"
@@ -162,7 +162,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     in_axes = _int_list(node, "scan_input_axes", scanned_count)
     backward_flags = _int_list(node, "scan_input_directions", scanned_count)
     out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_count)
-    prepended = _int_list(node, "scan_output_directions", len(node.outputs) - carried_count)
+    prepended_flags = _int_list(node, "scan_output_directions", len(node.outputs) - carried_count)
     sizes = {
         _axis_size(value, axis)
         for value, axis in zip(node.inputs[carried_count:], in_axes, strict=True)
@@ -201,7 +201,9 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
                 results_list.append(value)
         joined_values = [
             _stack(before, results_list[::-1] if is_backward else results_list, axis)
-            for results_list, axis, is_backward in zip(lists, out_axes, prepended, strict=True)
+            for results_list, axis, is_backward in zip(
+                lists, out_axes, prepended_flags, strict=True
+            )
         ]
         before.replace(*state, *joined_values)
 

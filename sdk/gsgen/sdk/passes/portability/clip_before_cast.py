@@ -65,8 +65,8 @@ class ClipBeforeCast(NodeRewrite):
         ]
         while numbers and numbers[-1] is None:
             numbers.pop()
-        clipped = write.op("Clip", x, *numbers, shape=x.shape)
-        write.replace(write.op("Cast", clipped, dtype=kind, shape=x.shape, to=int(kind)))
+        clipped_value = write.op("Clip", x, *numbers, shape=x.shape)
+        write.replace(write.op("Cast", clipped_value, dtype=kind, shape=x.shape, to=int(kind)))
 
 
 def _bounds(node: ir.Node) -> tuple[int | None, int | None] | None:

@@ -71,9 +71,9 @@ class SplitLargeWeights(CautiousRewrite):
             self.refuse(value, "one operator reads it twice")
             return
         splits = [plan for plan in plans if not isinstance(plan, str)]
-        obstacles = [plan for plan in plans if isinstance(plan, str)]
-        if obstacles or not splits:
-            self.refuse(value, "; ".join(dict.fromkeys(obstacles)) or "nothing reads it")
+        obstacle_texts = [plan for plan in plans if isinstance(plan, str)]
+        if obstacle_texts or not splits:
+            self.refuse(value, "; ".join(dict.fromkeys(obstacle_texts)) or "nothing reads it")
             return
         self.note(value)
         for plan in splits:

@@ -121,16 +121,16 @@ def _elementwise(
 ) -> Columns:
     """Evaluate an elementwise ONNX operator once for each column of its operands."""
     shape = required(fixed_shape(node.outputs[0]))
-    trailing = shape[1:]
+    trailing_shape = shape[1:]
     arrays = [
-        np.full(trailing, None, object)
+        np.full(trailing_shape, None, object)
         if value is None
-        else np.broadcast_to(_operand(value, shape, rows, lookup), trailing)
+        else np.broadcast_to(_operand(value, shape, rows, lookup), trailing_shape)
         for value in inputs
     ]
     attributes = attribute_values(node)
-    results = np.empty(trailing, object)
-    for index in np.ndindex(*trailing):
+    results = np.empty(trailing_shape, object)
+    for index in np.ndindex(*trailing_shape):
         operands = [array[index] for array in arrays]
         if is_op(node, "Max", "Min"):
             results[index] = reduce(lambda a, b: emit(node.op_type, [a, b], {}), operands)
@@ -149,10 +149,10 @@ def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnL
         single_column[()] = value if known is None else known.reshape(-1)[0]
         return single_column
     assert known is not None
-    trailing = value_shape[1:] if len(value_shape) == len(shape) else value_shape
-    numbers = np.empty(prod(trailing), object)
+    trailing_shape = value_shape[1:] if len(value_shape) == len(shape) else value_shape
+    numbers = np.empty(prod(trailing_shape), object)
     numbers[:] = list(known.reshape(-1))
-    return numbers.reshape(trailing)
+    return numbers.reshape(trailing_shape)
 
 
 def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:

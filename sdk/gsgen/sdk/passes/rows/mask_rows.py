@@ -87,7 +87,7 @@ class MaskRows(CautiousRewrite):
             except MaskBlocked as blocked:
                 attempt.draft.discard()
                 self.refuse(blocked.node, blocked.reason)
-                excluded |= {outer for mask in blocked.masks for outer in mask.chain}
+                excluded |= {outer_mask for mask in blocked.masks for outer_mask in mask.chain}
                 continue
             break
         if not attempt.sources:
@@ -199,9 +199,9 @@ class _MaskingAttempt:
 
     def _propagated_fact(self, node: ir.Node, facts: Sequence[RowFact | None]) -> RowFact | None:
         if is_op(node, "NonZero", "Compress", "Gather", "GatherND"):
-            nested = self._nested_fact(node, facts)
-            if nested is not None:
-                return nested
+            nested_rows = self._nested_fact(node, facts)
+            if nested_rows is not None:
+                return nested_rows
         if len(_masks(facts)) != 1:
             return None
         first_fact, kinds = facts[0], {type(fact) for fact in facts if fact is not None}

@@ -29,8 +29,8 @@ def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
     inner = rows.value
     if inner.dtype != kind:
         inner = draft.op("Cast", inner, dtype=kind, shape=shape, to=kind.value)
-    combined = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
-    return Mask(combined, shape, parent=rows.mask.without_repeats)
+    combined_mask = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
+    return Mask(combined_mask, shape, parent=rows.mask.without_repeats)
 
 
 def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:

@@ -356,10 +356,10 @@ def _expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
         sizes[target_axis] = rows.mask.size
     expanded_shape = [int(size) for size in np.broadcast_shapes(shape, tuple(sizes))]
     axis = rows.axis + len(expanded_shape) - len(shape)
-    expanded = draft.op(
+    expanded_value = draft.op(
         "Expand", rows.value, draft.constant(expanded_shape, np.int64), shape=expanded_shape
     )
-    return Rows(rows.mask, expanded, axis)
+    return Rows(rows.mask, expanded_value, axis)
 
 
 _RowRule = Callable[[ir.Node, Rows, RowFacts, RowDraft], Rows | None]

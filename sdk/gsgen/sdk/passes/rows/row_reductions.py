@@ -104,12 +104,12 @@ def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None
     missing = capacity - rows.mask.size
     if missing < 0:  # the mask may keep more rows than the capacity: then the model fails
         return None
-    compacted = draft.compact(rows, row)
+    compacted_rows = draft.compact(rows, row)
     if not missing:
-        return compacted
+        return compacted_rows
     filler_rows = np.broadcast_to(row, (missing, *shape[1:]))
     filler = draft.constant(filler_rows, row.dtype)
-    return draft.op("Concat", compacted, filler, shape=[capacity, *shape[1:]], axis=0)
+    return draft.op("Concat", compacted_rows, filler, shape=[capacity, *shape[1:]], axis=0)
 
 
 def _concat_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:

@@ -57,11 +57,11 @@ class MergeCasts(NodeRewrite):
         write.replace(write.op("Cast", x, dtype=kind, shape=x.shape, to=int(kind)))
 
 
-def holds_all(container: ir.DataType, contained: ir.DataType) -> bool:
+def holds_all(container: ir.DataType, contained_type: ir.DataType) -> bool:
     """Return whether one dtype can represent every number of another dtype."""
-    if contained in _INTEGERS_OF_64_BITS and container.is_floating_point():
+    if contained_type in _INTEGERS_OF_64_BITS and container.is_floating_point():
         return False  # NumPy calls that safe, although a double holds 53 bits
     try:
-        return bool(np.can_cast(contained.numpy(), container.numpy(), casting="safe"))
+        return bool(np.can_cast(contained_type.numpy(), container.numpy(), casting="safe"))
     except TypeError:  # strings, and dtypes of four bits
         return False
