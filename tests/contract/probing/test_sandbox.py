@@ -420,7 +420,7 @@ def test_extra_probe_keeps_a_sample_of_rows_and_nonfinite_ones(folder):
     probes = [Probe(label="part", inputs={"x": x}, extra=True, optimise=False)]
     with execute(path, ["y"], probes, Limits()) as execution:
         (sample,) = execution.samples
-        assert sample.is_thin
+        assert sample.thin
         assert sample.not_finite == ("y",)
         np.testing.assert_array_equal(sample.outputs["y"], np.sqrt(x[::4]))
 
