@@ -98,7 +98,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                 if job["survey"][probe]:
                     sample = _survey_outputs(by_name, known, emit, job)
                 else:
-                    sample = keep_outputs(folder, by_name, known, emit, is_thin=extra)
+                    sample = keep_outputs(folder, by_name, known, emit, thin=extra)
             except Exception as error:
                 if not extra:
                     raise
@@ -215,21 +215,21 @@ def keep_outputs(
     known: dict[str, int],
     emit: Emit,
     *,
-    is_thin: bool = False,
+    thin: bool = False,
 ) -> int:
     """Store the outputs of a run unless equal ones are stored; return the stored set's index.
 
-    Where ``is_thin``, a part of the rows is stored, and which outputs are not finite is noted.
+    Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
     key = digest_outputs(outputs)
     if key not in known:
         known[key] = len(known)
         files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
         for name, file in files.items():
-            array = subsample_rows(outputs[name]) if is_thin else outputs[name]
+            array = subsample_rows(outputs[name]) if thin else outputs[name]
             np.save(folder / file, array, allow_pickle=False)
-        not_finite = [name for name, value in outputs.items() if is_thin and not _is_finite(value)]
-        facts = {"digest": key, "outputs": files, "thin": is_thin, "not_finite": not_finite}
+        not_finite = [name for name, value in outputs.items() if thin and not _is_finite(value)]
+        facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
 
