@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.errors import ConfigInvalid, HostFailed
 from gsgen.contract.probing import sandbox, sandbox_worker
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Fault, execute
+from gsgen.contract.process.child_status import signal_name
 from gsgen.contract.process.limits import Limits
-from support.models.small_models import model, save
+from support.models.small_models import model, save, weight
 
 DOUBLE = model("double (float[2] x) => (float[2] y) { y = Add (x, x) }")
 ENDLESS = model("""
@@ -211,10 +212,9 @@ def test_crash_names_its_signal_and_probe(folder, monkeypatch):
 
 def test_child_that_cannot_start_reports_its_last_stderr_line(folder, monkeypatch):
     monkeypatch.setattr(sandbox, "_write_job", lambda *_, **options: None)
-    fault, execution = fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
-    assert fault.stage == "crash"
-    assert fault.message.startswith("exit status 1: FileNotFoundError: ")
-    assert execution.version == ""
+    expected_message = "ended: exit status 1: FileNotFoundError: "
+    with pytest.raises(HostFailed, match=expected_message):
+        fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
 
 
 def test_a_half_written_event_is_the_end_and_no_error(folder, monkeypatch):
@@ -251,6 +251,7 @@ from pathlib import Path
 import numpy as np
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.child_status import signal_name
 from gsgen.contract.process.limits import Limits
 with execute(Path(sys.argv[1]), ["y"], [Probe(label="a", inputs={"turns": np.int64(2**62)})], Limits()):
     pass
@@ -295,8 +296,8 @@ def running(folder):
 
 
 def test_unnamed_signal_is_reported_by_number():
-    assert sandbox._signal_name(9) == "SIGKILL"
-    assert sandbox._signal_name(250) == "250"
+    assert signal_name(9) == "SIGKILL"
+    assert signal_name(250) == "250"
 
 
 _UNDER_A_LIMIT = """
@@ -304,10 +305,70 @@ import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_DATA, (1 << 30, 1 << 30))
 from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.child_status import signal_name
 from gsgen.contract.process.limits import Limits
 with execute(Path(sys.argv[1]), ["y"], [], Limits()) as execution:
     sys.exit(str(execution.fault) if execution.fault else 0)
 """
+
+
+@pytest.mark.usefixtures("children")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_child_killed_from_outside_is_a_fault_of_the_host(folder, monkeypatch, number):
+    def kill(child, where):
+        until_it_runs(where)
+        child.send_signal(number)
+
+    act_on_first_wait(monkeypatch, kill)
+    path = save(folder / "a.onnx", ENDLESS)
+    with pytest.raises(HostFailed, match=f"killed by {number.name}") as caught:
+        fault_of(path, ["y"], [probe(turns=np.int64(2**62))])
+    assert caught.value.exit_code == 2
+
+
+# Sets a limit of this process, as `ulimit` does, and prints what a sandbox in it raises.
+_WITH_A_LIMIT = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from gsgen.contract.errors import HostFailed
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.limits import Limits
+limit, size = getattr(resource, sys.argv[2]), int(sys.argv[3])
+resource.setrlimit(limit, (size, size))
+probe = Probe(label="", inputs={"x": np.ones((1 << 16, 10), np.float32)})
+try:
+    with execute(Path(sys.argv[1]), ["y"], [probe], Limits()) as execution:
+        print(execution.fault)
+except HostFailed as error:
+    print(error.message)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no resource limits on this system")
+@pytest.mark.parametrize(
+    ("limit", "size", "cause"),
+    [
+        ("RLIMIT_FSIZE", 2_700_000, "cannot be stored: a part was written"),
+        ("RLIMIT_DATA", 160 << 20, "limited to 160 MiB"),
+    ],
+)
+def test_a_full_disk_and_refused_memory_are_faults_of_the_host(folder, limit, size, cause):
+    text = (
+        "m (float[65536,10] x) => (float[65536,20] y, float[1] z) <int64[2] n = {32, 1}> "
+        "{ t = Tile (x, n) s = Sin (t) z0 = ReduceMax <keepdims = 0> (s) "
+        "z = Unsqueeze (z0, axis) y = Concat <axis = 1> (x, x) }"
+    )
+    path = save(folder / "a.onnx", model(text, weight("axis", np.zeros(1, np.int64))))
+    completed = subprocess.run(
+        [sys.executable, "-c", _WITH_A_LIMIT, path, limit, str(size)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    assert cause in completed.stdout
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no resource limits on this system")
@@ -439,7 +500,8 @@ def test_lost_output_names_its_probe_after_a_session_restart(folder):
     (folder / "log").write_text("")
     events = [{"event": "started"}, {"event": "loaded"}, {"event": "begin", "probe": 3}]
     for last in ([], [{"event": "loaded"}], [{"event": "sample"}]):
-        fault = sandbox._read_fault([*events, *last], -9, Limits(), folder / "log")
+        fault = sandbox._read_fault([*events, *last], -11, Limits(), folder / "log", is_own=True)
         assert (fault.stage, fault.probe) == ("crash", 3)
     done = [*events, {"event": "run", "probe": 3}]
-    assert sandbox._read_fault(done, -9, Limits(), folder / "log").probe is None
+    fault = sandbox._read_fault(done, -11, Limits(), folder / "log", is_own=True)
+    assert fault.probe is None

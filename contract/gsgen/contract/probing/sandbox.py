@@ -15,18 +15,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
-from gsgen.contract.model.files_beside import require_loadable
+from gsgen.contract.errors import HostFailed, ModelUnreadable
+from gsgen.contract.model.files_beside import loaded_files, require_loadable
+from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.child_status import death_of, memory_refused
 from gsgen.contract.process.drafts import temporary_folder
-from gsgen.contract.process.limits import Limits
+from gsgen.contract.process.limits import Limits, inherited_memory_limit
 from gsgen.contract.process.parent_watchdog import child_environment, python_command
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
+
+_HOST_FAULT_BYTES = 4096
 
 FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
@@ -129,8 +133,10 @@ def execute(
     probes: Sequence[Probe],
     limits: Limits,
     worker: str = _WORKER,
+    *,
     rows: str = "",
     count: str = "",
+    has_gpu: bool = False,
     **options: object,
 ) -> Iterator[Execution]:
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
@@ -143,10 +149,15 @@ def execute(
         worker: The module that the child runs; another one may run the model another way.
         rows: The output of packed rows, which survey probes and camera placements read.
         count: The output of the row count, which survey probes read.
+        has_gpu: Allow the worker the devices of GPUs.
         options: What that worker wants to know besides; anything that JSON can hold.
 
     A model that is unreadable, or whose external weights must not be read, is a fault of loading;
     no child sees it.
+
+    Raises:
+        HostFailed: This machine, not the model, ended the run: a full disk, no memory for the
+            process, or a signal from outside.
     """
     try:
         loading_path = model if model == Path() else require_loadable(model)
@@ -154,17 +165,28 @@ def execute(
         fault = Fault("load", error.message)
         yield Execution(runs=(), samples=(), fault=fault, seconds=0.0, version="")
         return
+    readable = [] if model == Path() else loaded_files(open_model(model))
+    options |= {
+        "rows": rows,
+        "count": count,
+        "has_gpu": has_gpu,
+        "readable": [str(path) for path in readable],
+    }
     with temporary_folder() as folder:
         try:
-            names = {"rows": rows, "count": count}
-            _write_job(folder, loading_path, outputs, probes, limits, **names, **options)
+            _write_job(folder, loading_path, outputs, probes, limits, **options)
+            start_time = time.monotonic()
+            ended = _run_child(folder, limits.seconds, worker)
         except OSError as error:
-            message = f"inputs cannot be written: {error.strerror or error}"
-            hint = "Make room there, or set TMPDIR to a folder that has some."
-            raise ConfigInvalid(message, where=str(folder.parent), hint=hint) from error
-        start_time = time.monotonic()
-        exit_status = _run_child(folder, limits.seconds, worker)
-        yield _collect_results(folder, exit_status, time.monotonic() - start_time, limits)
+            raise _spool_failed(folder, error.strerror or str(error)) from error
+        seconds = time.monotonic() - start_time
+        yield _collect_results(folder, ended, seconds, limits, is_own=worker == _WORKER)
+
+
+def _spool_failed(folder: Path, reason: str) -> HostFailed:
+    hint = "Make room there, or set TMPDIR to a folder that has some."
+    message = f"inputs and outputs of the model cannot be stored: {reason}"
+    return HostFailed(message, where=str(folder.parent), hint=hint)
 
 
 def _write_job(
@@ -196,24 +218,39 @@ def _write_job(
     (folder / "job.json").write_text(json.dumps(job), "utf-8")
 
 
-def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
-    """Run the sandbox's child process; return its exit status, or None at the time limit."""
+class _Ended(NamedTuple):
+    """How the sandbox's child process ended.
+
+    Attributes:
+        status: Its exit status; None at the time limit.
+        host_fault: What it wrote about a fault of this machine.
+    """
+
+    status: int | None
+    host_fault: str
+
+
+def _run_child(folder: Path, seconds: float, worker: str) -> _Ended:
+    """Run the sandbox's child process until it ends or its time is over."""
     environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
             [*python_command(), "-m", worker, str(folder)],
             stdin=subprocess.DEVNULL,
-            stdout=log,
+            stdout=subprocess.PIPE,  # for a line that fits into it: a full disk holds no log
             stderr=log,
             env=environment,
             start_new_session=True,
         )
-        try:
-            return child.wait(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            return None
-        finally:
-            _stop_child(child)
+        assert child.stdout is not None
+        with child.stdout:
+            try:
+                status = child.wait(timeout=seconds)
+                return _Ended(status, child.stdout.read(_HOST_FAULT_BYTES).decode(errors="replace"))
+            except subprocess.TimeoutExpired:
+                return _Ended(None, "")
+            finally:
+                _stop_child(child)
 
 
 def _stop_child(child: "subprocess.Popen[bytes]") -> None:
@@ -225,7 +262,9 @@ def _stop_child(child: "subprocess.Popen[bytes]") -> None:
         child.wait()
 
 
-def _collect_results(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
+def _collect_results(
+    folder: Path, ended: _Ended, seconds: float, limits: Limits, *, is_own: bool
+) -> Execution:
     events = _read_events(folder / "events.jsonl")
     runs = tuple(
         Run(
@@ -252,7 +291,9 @@ def _collect_results(folder: Path, status: int | None, seconds: float, limits: L
         if event["event"] == "sample"
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
-    fault = _read_fault(events, status, limits, folder / "log")
+    if ended.host_fault:
+        raise _spool_failed(folder, ended.host_fault.strip())
+    fault = _read_fault(events, ended.status, limits, folder / "log", is_own=is_own)
     return Execution(
         runs=runs,
         samples=samples,
@@ -296,26 +337,36 @@ def _map_array(path: Path) -> np.ndarray:
 
 
 def _read_fault(
-    events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
+    events: list[dict[str, Any]],
+    status: int | None,
+    limits: Limits,
+    log_path: Path,
+    *,
+    is_own: bool,
 ) -> Fault | None:
+    """Return why a model did not run to the end; ``is_own`` for the worker of this module.
+
+    Raises:
+        HostFailed: This machine ended the process.
+    """
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
     run_events = (event for event in reversed(events) if event["event"] in ("begin", "run"))
     begin_event = next(run_events, last)
     probe = begin_event.get("probe") if begin_event["event"] == "begin" else None
     if last["event"] == "done" and status == 0:
         return None
-    if last["event"] == "fault":
-        return Fault(last["stage"], last["message"], last.get("probe"))
-    if status is None:
+    if status is None and last["event"] != "fault":
         return Fault("time", f"still running after {limits.seconds:g} s", probe)
-    if status < 0:
-        return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
-    last_line = log.read_text("utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
-    return Fault("crash", f"exit status {status}: {last_line[0][:300]}", probe)
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return str(number)
+    if last["event"] == "fault":
+        fault = Fault(last["stage"], last["message"], last.get("probe"))
+    else:
+        log = log_path.read_text("utf-8", errors="replace")
+        death = death_of(status or 0, log, limits)
+        has_started = any(event["event"] == "started" for event in events) or not is_own
+        if death.stage == "host" or not has_started:
+            raise HostFailed(f"the process that runs the model ended: {death.message}")
+        fault = Fault(death.stage, death.message, probe)
+    host_limit = inherited_memory_limit()
+    if fault.stage in ("memory", "crash") and host_limit < limits.memory:
+        raise memory_refused(limits.memory, host_limit, fault.message)
+    return fault

@@ -19,8 +19,10 @@ __all__ = [
     "subsample_step",
 ]
 
+import errno
 import hashlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -29,10 +31,13 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
 
+# Errors of storing files; NumPy gives none where a part was written.
+_STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, None)
 # Extra probes start only within this share of the time, so that they never use it up.
 EXTRA_PROBE_TIME_SHARE = 0.5
 _SUBSAMPLE_ROWS = 1 << 14
@@ -49,8 +54,27 @@ def main(folder: Path) -> int:
 
 
 def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) -> int:
-    """Read a sandbox job from its folder, do the job, and return the exit status."""
+    """Read a sandbox job from its folder, do the job, and return the exit status.
+
+    A file that cannot be stored is a fault of this machine: the parent reads it from standard
+    output, which a full disk does not keep from it.
+    """
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as host_faults:
+        os.dup2(2, 1)  # what libraries print goes to the log
+        try:
+            return _do_job(folder, run_job)
+        except OSError as error:
+            if error.errno not in _STORAGE_ERRORS:
+                raise
+            host_faults.write(error.strerror or f"a part was written ({error_line(error)})")
+            return 1
+
+
+def _do_job(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) -> int:
     job = json.loads((folder / "job.json").read_text("utf-8"))
+    readable = map(Path, job["readable"])
+    confine(readable, [folder], file_bytes=job["memory"], has_gpu=job["has_gpu"])
+    exit_with_parent()
     with (folder / "events.jsonl").open("w", buffering=1, encoding="utf-8") as log:
 
         def emit(event: str, **facts: object) -> None:
@@ -99,6 +123,8 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                     sample = _survey_outputs(by_name, known, emit, job)
                 else:
                     sample = keep_outputs(folder, by_name, known, emit, thin=extra)
+            except OSError:
+                raise  # of a file: a fault of this machine
             except Exception as error:
                 if not extra:
                     raise
@@ -109,6 +135,8 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                 emit("run", probe=probe, sample=-1, seconds=0.0, **reason)
                 continue
             emit("run", probe=probe, sample=sample, seconds=seconds, **facts)
+    except OSError:
+        raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         emit("fault", stage=fault_stage(error, probe), message=error_line(error), probe=probe)
         return 0
@@ -275,5 +303,4 @@ def error_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
-    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

@@ -1,10 +1,11 @@
 """Why a child process ended: by a fault of the model that it ran, or of this machine."""
 
-__all__ = ["Death", "death_of", "signal_name"]
+__all__ = ["Death", "death_of", "memory_refused", "signal_name"]
 
 import signal
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
+from gsgen.contract.errors import HostFailed
 from gsgen.contract.process.limits import Limits, is_out_of_memory
 
 # Signals that a process gets from its own faults; others come from the system or its users.
@@ -20,12 +21,7 @@ class Death(NamedTuple):
     """
 
     message: str
-    stage: str
-
-    @property
-    def is_of_host(self) -> bool:
-        """Whether the machine ended the process, not the model."""
-        return self.stage == "host"
+    stage: Literal["time", "memory", "crash", "host"]
 
 
 def death_of(status: int, log: str, limits: Limits) -> Death:
@@ -43,12 +39,27 @@ def death_of(status: int, log: str, limits: Limits) -> Death:
         return Death(f"needs more processor time than {limit}", "time")
     if status < 0 and name not in _OWN_FAULTS:
         reason = "from outside, or by the system because memory ran out"
-        return Death(f"the process that runs the model was killed by {name}: {reason}", "host")
+        return Death(f"killed by {name}, {reason}", "host")
     if is_out_of_memory(log):
         return Death(f"needs more than {limits.memory >> 20:,} MiB, the memory limit", "memory")
     if status < 0:
-        return Death(f"the process that runs the model crashed: {name}", "crash")
+        return Death(f"ended by signal {name}", "crash")
     return Death(f"exit status {status}: {last_line}", "crash")
+
+
+def memory_refused(memory: int, host_limit: int, reason: str) -> HostFailed:
+    """Return the error of a process that gets less memory from this machine than it may take.
+
+    Args:
+        memory: Bytes that the process may take.
+        host_limit: Bytes that this machine's limits leave it.
+        reason: The allocation that failed.
+    """
+    return HostFailed(
+        f"the model may take {memory >> 20:,} MiB, but this process is limited to "
+        f"{host_limit >> 20:,} MiB: {reason}",
+        hint="Raise the limit (`ulimit -d`, `ulimit -v`), or give less --memory.",
+    )
 
 
 def signal_name(number: int) -> str:

@@ -4,6 +4,7 @@ __all__ = [
     "FRAME_SECONDS",
     "Limits",
     "available_cores",
+    "inherited_memory_limit",
     "is_out_of_memory",
     "limit_memory",
     "limit_processor_time",
@@ -26,6 +27,11 @@ _OUT_OF_MEMORY = (
     "Failed to allocate memory",
     "Cannot allocate memory",  # for a thread's stack
     "MemoryError",
+    "failed to map segment",  # of a library
+    "can't start new thread",
+    "pthread_create failed",
+    "Unable to allocate",  # NumPy
+    "std::system_error",  # a thread that cannot be started
 )
 
 
@@ -94,6 +100,18 @@ def limit_processor_time(seconds: float) -> None:
 def is_out_of_memory(error: Exception | str) -> bool:
     """Return whether an error, or the text of one, says that memory could not be allocated."""
     return isinstance(error, MemoryError) or any(text in str(error) for text in _OUT_OF_MEMORY)
+
+
+def inherited_memory_limit() -> int:
+    """Return the bytes that this process's own limits allow a child; the largest int without any."""
+    if os.name == "nt":
+        return sys.maxsize
+    import resource
+
+    data_limit = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    address_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    finite = [size for size in (data_limit, address_limit) if size != resource.RLIM_INFINITY]
+    return min(finite, default=sys.maxsize)
 
 
 def available_cores() -> int:

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from gsgen.contract._entry_points import foreign_code
+from gsgen.contract.errors import HostFailed
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
@@ -164,9 +165,13 @@ class _Validation:
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
         rows, count = self.subject.declared_gaussians, self.subject.declared_count
-        surveyed_outputs = {"rows": rows.name if rows else "", "count": count.name if count else ""}
         with execute(
-            path, names, plan.probes, self.subject.sandbox_limits, **surveyed_outputs
+            path,
+            names,
+            plan.probes,
+            self.subject.sandbox_limits,
+            rows=rows.name if rows else "",
+            count=count.name if count else "",
         ) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
@@ -303,6 +308,8 @@ class _Validation:
                 )
                 self.results.skip(rules, error.reason)
                 return
+            except HostFailed:
+                raise
             except Exception:  # a faulty backend must not prevent the report
                 self.levels.append(
                     LevelOutcome(level=backend.level, ran=False, reason="it crashed")

@@ -301,7 +301,7 @@ class GeneratorPlayer:
         if confined:
             from gsgen.sdk.binding.confined.models import ConfinedModels as Processes
 
-            self._confined = Processes(models)
+            self._confined = Processes(models, has_gpu=provider != "cpu")
         self._post_processors: list[PostProcessor] = []
         try:
             self.source = GeneratorSource(models[0], provider, sizes, self._confined)

@@ -63,7 +63,9 @@ def time_frames(
         "sizes": dict(sizes or {}),
         "capture": capture,
     }
-    with execute(model, [], [], Limits(seconds), _WORKER, **options) as execution:
+    with execute(
+        model, [], [], Limits(seconds), _WORKER, has_gpu=provider != "cpu", **options
+    ) as execution:
         state, reason, facts = _outcome(execution)
         return BenchmarkResult(
             model=str(model), provider=provider, state=state, reason=reason, facts=facts

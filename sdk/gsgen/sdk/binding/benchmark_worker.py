@@ -12,7 +12,6 @@ import numpy as np
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.sandbox_worker import Emit, run_worker
-from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
 from gsgen.sdk.binding.session import FrameSession
@@ -116,5 +115,4 @@ def _gaussian_count(session: FrameSession) -> int | None:
 
 
 if __name__ == "__main__":
-    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

@@ -1,6 +1,6 @@
 """An ONNX Runtime session whose inputs and outputs stay bound to fixed buffers."""
 
-__all__ = ["BoundSession", "TensorSpec", "tensor_specs", "translate_error"]
+__all__ = ["BoundSession", "TensorSpec", "host_bytes", "tensor_specs", "translate_error"]
 
 import math
 import os
@@ -198,7 +198,7 @@ def _check_output_sizes(
     output_specs: tuple[TensorSpec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
 ) -> None:
     """Raise if the model's outputs are too large to be allocated safely."""
-    limit, limit_name = _host_bytes(), "this machine's memory"
+    limit, limit_name = host_bytes(), "this machine's memory"
     if memory == "gpu" and limit > _BUFFER_BYTES:
         limit, limit_name = _BUFFER_BYTES, "the largest buffer of WebGPU"
     for spec in output_specs:
@@ -211,7 +211,8 @@ def _check_output_sizes(
             )
 
 
-def _host_bytes() -> int:
+def host_bytes() -> int:
+    """Return the bytes of memory of this machine."""
     if hasattr(os, "sysconf"):
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return sys.maxsize  # Windows has no sysconf

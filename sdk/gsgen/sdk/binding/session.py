@@ -132,7 +132,8 @@ class FrameSession:
         from gsgen.sdk.binding.confined.session import open_confined
 
         if isinstance(confined, bool):
-            self._own_process = confined = ConfinedModels([self.path])
+            has_gpu = settings["provider"] != "cpu"
+            self._own_process = confined = ConfinedModels([self.path], has_gpu=has_gpu)
         try:
             return open_confined(self._sources, confined, **settings)
         except BaseException:

@@ -97,7 +97,7 @@ def prepare_live(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
     subject, probes = probe_runs.subject, [probe_runs.plan.probes[run] for run in runs]
     half = any(tensor.dtype == "float16" for tensor in subject.graph.tensors.values())
     path, limits = subject.file.path, subject.sandbox_limits
-    with execute(path, [], probes, limits, _WORKER, half=half) as execution:
+    with execute(path, [], probes, limits, _WORKER, has_gpu=True, half=half) as execution:
         _raise_if_unavailable(execution)
         live = _read(probe_runs, execution, runs)
         yield LevelContext(
@@ -111,7 +111,9 @@ def prepare_live(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
 def survey(seconds: float = 60) -> dict[str, str]:
     """Start a child process that reports the versions and adapter of the WebGPU provider."""
     _require_package()
-    with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
+    with execute(
+        Path(), [], [], Limits(seconds=seconds), _WORKER, has_gpu=True, half=False
+    ) as execution:
         _raise_if_unavailable(execution)
         return _environment(execution.events)
 

@@ -19,7 +19,6 @@ import numpy as np
 
 from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, run_worker
 from gsgen.contract.process.limits import limit_memory
-from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
@@ -153,7 +152,7 @@ class _FrameRunner:
         self.index = -1
         try:
             run_frames()
-        except ProviderFallback:
+        except (ProviderFallback, OSError):  # an error of a file is a fault of this machine
             raise
         except Exception as error:
             self.emit("stopped", phase=name, frame=self.index, message=error_text(error))
@@ -194,5 +193,4 @@ class _FrameRunner:
 
 
 if __name__ == "__main__":
-    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

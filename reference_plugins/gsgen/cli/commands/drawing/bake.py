@@ -126,7 +126,7 @@ def bake(
     tracks, view = _tracks(time, inputs), _viewpoint(camera, up)
     limits = model_limits(timeout, memory, trust=trust)
     with (
-        confined_models((), [model], limits) or nullcontext() as confined,
+        confined_models((), [model], limits, provider) or nullcontext() as confined,
         closing(GeneratorSource(model, provider, sizes_of(size), confined)) as source,
     ):
         try:

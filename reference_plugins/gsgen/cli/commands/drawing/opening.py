@@ -78,7 +78,7 @@ def open_scenes(
     files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
-        confined = confined_models([*scenes, *model_paths], post or (), limits)
+        confined = confined_models([*scenes, *model_paths], post or (), limits, provider)
         if confined is not None:
             stack.callback(confined.close)
         stream = tileset_opener(streaming, confined)
@@ -111,7 +111,7 @@ def open_scenes(
 
 
 def confined_models(
-    scenes: Sequence[Path], models: Sequence[Path], limits: "Limits | None"
+    scenes: Sequence[Path], models: Sequence[Path], limits: "Limits | None", provider: str = "cpu"
 ) -> "ConfinedModels | None":
     """Return the confined processes for the models of a command; None if it needs none.
 
@@ -121,6 +121,7 @@ def confined_models(
         scenes: Files of scenes, of any kind.
         models: Model files, with any suffix.
         limits: Limits of the processes; None runs models in this process.
+        provider: Execution provider of ONNX Runtime.
     """
     models = [*(path for path in scenes if path.suffix.lower() == MODEL_SUFFIX), *models]
     if limits is None or not (models or any(map(names_tileset, scenes))):
@@ -130,7 +131,7 @@ def confined_models(
     if not CAN_CONFINE:
         typer.echo("note: this system cannot confine models: they run without limits", err=True)
         return None
-    return ConfinedModels(models, limits)
+    return ConfinedModels(models, limits, has_gpu=provider != "cpu")
 
 
 def tileset_opener(

@@ -5,7 +5,6 @@ __all__ = ["CAN_CONFINE", "Channel", "ConfinedModels"]
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Iterable
@@ -17,8 +16,9 @@ from gsgen.contract.errors import GsgenError, HostFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files
 from gsgen.contract.model.model_file import ModelFile, open_model
 from gsgen.contract.process.child_status import death_of
-from gsgen.contract.process.limits import FRAME_SECONDS, Limits
-from gsgen.contract.process.parent_watchdog import child_environment
+from gsgen.contract.process.limits import FRAME_SECONDS, Limits, inherited_memory_limit
+from gsgen.contract.process.parent_watchdog import child_environment, python_command
+from gsgen.sdk.binding.bound_session import host_bytes
 from gsgen.sdk.binding.confined.messages import Message, error_of, receive, send
 from gsgen.sdk.binding.confined.shared_arrays import SharedMemory, create_memory_file
 from gsgen.sdk.binding.providers.errors import RunFailed
@@ -48,9 +48,16 @@ class ConfinedModels:
         models: Model files that will be opened; files that are not models are ignored.
         limits: Seconds for loading a model and for each frame, and bytes of memory; memory for
             the weights is added.
+        has_gpu: Allow the named models the devices of GPUs, which all providers but cpu need.
     """
 
-    def __init__(self, models: Iterable[str | Path] = (), limits: Limits | None = None) -> None:
+    def __init__(
+        self,
+        models: Iterable[str | Path] = (),
+        limits: Limits | None = None,
+        *,
+        has_gpu: bool = False,
+    ) -> None:
         if not CAN_CONFINE:
             raise HostFailed("this system cannot run models in a confined process")
         self.limits = limits = limits or Limits(seconds=FRAME_SECONDS)
@@ -60,14 +67,15 @@ class ConfinedModels:
         for path in map(Path, models):
             with suppress(ModelUnreadable):  # reported where the model is opened
                 files.append(open_model(path))
-        self._shared = _Child(files, limits) if files else None
+        self._shared = _Child(files, limits, has_gpu=has_gpu) if files else None
 
     def open(self, file: ModelFile, request: Message) -> "Channel":
         """Return a channel to a session that opens a model; :meth:`Channel.ask` for its facts."""
+        needs_gpu = request["provider"] != "cpu"
         with self._lock:
-            if self._shared is not None and self._shared.may_open(file):
+            if self._shared is not None and self._shared.may_open(file, needs_gpu=needs_gpu):
                 return self._shared.channel(file, request)
-            child = _Child([file], self.limits)
+            child = _Child([file], self.limits, has_gpu=needs_gpu)
             self._children.append(child)
         return child.channel(file, request, is_last=True)
 
@@ -90,10 +98,11 @@ class ConfinedModels:
 class _Child:
     """A confined process, started when it is created."""
 
-    def __init__(self, files: Iterable[ModelFile], limits: Limits) -> None:
+    def __init__(self, files: Iterable[ModelFile], limits: Limits, *, has_gpu: bool) -> None:
         self._files = list(files)
         self._readable = {path for file in self._files for path in loaded_files(file)}
         self.limits = limits.for_model(sum(file.weight_bytes for file in self._files))
+        self._has_gpu = has_gpu
         self._cause: GsgenError | None = None  # why this process ended it
         self._is_ready, self._session_count = False, 0
         self._channels: list[socket.socket] = []
@@ -103,7 +112,7 @@ class _Child:
         with child_end:
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", _WORKER, str(child_end.fileno())],
+                    [*python_command(), "-m", _WORKER, str(child_end.fileno())],
                     stdin=subprocess.DEVNULL,
                     stdout=self._log,
                     stderr=self._log,
@@ -118,16 +127,20 @@ class _Child:
             "readable": [str(path) for path in self._readable],
             "memory": self.limits.memory,
             "seconds": self.limits.seconds,
+            "has_gpu": has_gpu,
+            "host_limit": inherited_memory_limit(),
         }
         send(self._control, job)
 
-    def may_open(self, file: ModelFile) -> bool:
+    def may_open(self, file: ModelFile, *, needs_gpu: bool) -> bool:
         """Return whether the process may read a model's files, and still runs."""
-        return self._process.poll() is None and self._readable.issuperset(loaded_files(file))
+        is_allowed = self._has_gpu or not needs_gpu
+        is_running = self._process.poll() is None
+        return is_running and is_allowed and self._readable.issuperset(loaded_files(file))
 
     def channel(self, file: ModelFile, request: Message, *, is_last: bool = False) -> "Channel":
         """Begin to open a model; ``is_last`` ends the process with this session."""
-        memory_file = create_memory_file(self.limits.memory)
+        memory_file = create_memory_file(min(self.limits.memory, host_bytes()))
         parent_end, child_end = socket.socketpair()
         with child_end:
             with self._lock:
@@ -196,8 +209,11 @@ class _Child:
             lines = log.strip().splitlines()[-1:] or [f"exit status {status}"]
             return HostFailed(f"the process for models does not start: {lines[0][:300]}")
         death = death_of(status, log, self.limits)
-        kind = HostFailed if death.is_of_host else RunFailed
-        return kind(death.message, where=where)
+        is_of_host = death.stage == "host"
+        if death.stage in ("memory", "crash"):
+            is_of_host = inherited_memory_limit() < self.limits.memory
+        kind = HostFailed if is_of_host else RunFailed
+        return kind(f"the process that runs the model ended: {death.message}", where=where)
 
 
 def _log_file() -> Any:

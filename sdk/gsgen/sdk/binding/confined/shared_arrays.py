@@ -29,8 +29,8 @@ class ArrayPlace(NamedTuple):
 def create_memory_file(size: int) -> int:
     """Return the descriptor of a file of ``size`` zero bytes, which take memory once written.
 
-    On Linux it is in memory, and nobody can change its size afterwards: a process that reads it
-    would be killed where it ends. Elsewhere it is a temporary file.
+    On Linux it is in memory, and its size stays: a process that reads beyond the end of a file is
+    killed. Elsewhere it is a temporary file.
 
     Raises:
         HostFailed: The system refuses it.
