@@ -2,7 +2,6 @@
 
 __all__ = ["Reproduction", "Row", "RuleCrashed", "RuleNotChecked", "reproduce"]
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from gsgen.conformance.rerun import (
     rerun_probes,
     save_runs,
 )
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
@@ -133,7 +133,7 @@ def _check_rule(path: Path, rule: Rule, settings: Settings) -> Report:
     else:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
-        hint = f"`gsgen validate {shlex.quote(str(path))}` reports the reason."
+        hint = f"`gsgen validate {for_shell(str(path))}` reports the reason."
         error_type = RuleCrashed if outcome.status == "crashed" else RuleNotChecked
         raise error_type(reason, where=f"{rule.id} was not checked", hint=hint)
     return report

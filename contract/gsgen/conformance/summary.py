@@ -2,7 +2,6 @@
 
 __all__ = ["SCHEMA", "exit_code", "lines_of", "to_json"]
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -10,6 +9,7 @@ from typing import Any
 
 from gsgen.conformance.cases import Case, CaseStatus
 from gsgen.conformance.run import ModelRun
+from gsgen.contract._safe_text import for_json
 from gsgen.contract.errors import ExitCode
 from gsgen.contract.reporters.json_report import to_dict
 from gsgen.contract.reporters.text import Line
@@ -82,7 +82,7 @@ def to_json(entries: Sequence[Entry]) -> str:
         "tool": {"name": "gsgen", "version": version("gsgen")},
         "models": [_model_entry(entry) for entry in entries],
     }
-    return json.dumps(document, indent=2, ensure_ascii=False)
+    return for_json(document)
 
 
 def _model_entry(entry: Entry) -> dict[str, Any]:

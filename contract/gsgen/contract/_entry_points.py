@@ -139,12 +139,12 @@ def _is_installed(name: str) -> bool:
 
 
 class ForeignExit(Exception):
-    """Raised if a third party's code tried to end this process; its cause is what was raised."""
+    """Raised if a third party's code tried to end this process; its cause is the original exception."""
 
 
 @contextmanager
 def foreign_code() -> Iterator[None]:
-    """Turn exceptions of the block that are no Exception, and ``os._exit``, into ForeignExit.
+    """Turn SystemExit and its like, and ``os._exit``, into ForeignExit within the block.
 
     Ctrl-C still raises KeyboardInterrupt. ``os._exit`` ends other threads' processes as before, and
     those that the block forks.

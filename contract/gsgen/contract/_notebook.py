@@ -4,7 +4,8 @@ __all__ = ["draw_previews_with", "preview_png", "summary_html"]
 
 import base64
 from collections.abc import Callable, Sequence
-from html import escape
+
+from gsgen.contract._safe_text import for_html
 
 _renderers: "list[Callable[[object], bytes | None]]" = []
 
@@ -27,12 +28,12 @@ def summary_html(
 ) -> str:
     """Return HTML with a title, a table of names and values, and a PNG picture."""
     lines = "".join(
-        f'<tr><th style="text-align:left">{escape(name)}</th>'
-        f'<td style="text-align:left">{escape(value)}</td></tr>'
+        f'<tr><th style="text-align:left">{for_html(name)}</th>'
+        f'<td style="text-align:left">{for_html(value)}</td></tr>'
         for name, value in rows
     )
     image = ""
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
-        image = f'<img alt="{escape(alt or title)}" src="data:image/png;base64,{data}">'
-    return f"<div><strong>{escape(title)}</strong><table>{lines}</table>{image}</div>"
+        image = f'<img alt="{for_html(alt or title)}" src="data:image/png;base64,{data}">'
+    return f"<div><strong>{for_html(title)}</strong><table>{lines}</table>{image}</div>"

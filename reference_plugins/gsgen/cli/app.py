@@ -10,7 +10,7 @@ import sys
 from contextlib import suppress
 from typing import Never
 
-from gsgen.cli.text_streams import accept_any_text
+from gsgen.cli.text_streams import accept_any_text, safe_streams
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.process.drafts import remove_own_drafts
 from gsgen.contract.process.interrupts import ending_at_interrupts
@@ -24,6 +24,11 @@ _UNWRITABLE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 def main() -> None:
     """Run the `gsgen` command line on the process's arguments, and exit with its exit code."""
     accept_any_text()
+    with safe_streams():
+        _run_until_interrupt()
+
+
+def _run_until_interrupt() -> None:
     try:
         with ending_at_interrupts() as interrupts:
             _run()

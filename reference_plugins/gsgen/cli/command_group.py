@@ -3,7 +3,8 @@
 __all__ = ["PASS_THROUGH_SETTINGS", "EndedEarly", "build", "click_command", "refusing", "runnable"]
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
@@ -12,6 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from gsgen.cli.command_table import Command, find_command, panels
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
+from gsgen.contract._safe_text import for_shell, printable
 from gsgen.contract.errors import ExitCode, UnknownName
 
 # A command that only reports why it cannot run accepts all arguments.
@@ -60,15 +62,34 @@ class _CommandGroup(TyperGroup):
             raise _unknown_command(args[0], self.list_commands(ctx))
         return super().resolve_command(ctx, args)
 
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
+        """Parse the command line; an error quotes arguments with escape sequences."""
+        with _printable_errors():
+            return super().make_context(info_name, args, parent, **extra)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command; a SystemExit of code that it runs, such as a plugin's, is a crash."""
         try:
-            return super().invoke(ctx)
+            with _printable_errors():
+                return super().invoke(ctx)
         except SystemExit as error:
             command = find_command(ctx.invoked_subcommand or "")
             if command is not None and command.code.owner != "gsgen":
                 raise
             raise EndedEarly(ctx.invoked_subcommand or "") from error
+
+
+@contextmanager
+def _printable_errors() -> Iterator[None]:
+    """Escape the messages of click's errors, which quote arguments such as names of files."""
+    try:
+        yield
+    except Exception as error:
+        if hasattr(error, "format_message") and hasattr(error, "message"):
+            error.message = printable(str(error.message), kept_chars="\n\t")
+        raise
 
 
 def click_command(command: Command) -> Any:
@@ -100,7 +121,7 @@ def refusing(error: ExtensionUnusable) -> Callable[..., None]:
     def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         raise error
 
-    refuse.__doc__ = error.summary.replace("[", r"\[")  # rich would read markup
+    refuse.__doc__ = printable(error.summary).replace("[", r"\[")  # rich would read markup
     return refuse
 
 
@@ -166,7 +187,8 @@ def _number_hint(message: str, parameter: Any) -> str:
 def _unknown_command(name: str, commands: list[str]) -> UnknownName:
     error = UnknownName.among("command", name, commands)
     if os.path.exists(name):
+        word = for_shell(name)
         is_checked = name.endswith((".onnx", ".json")) or os.path.isdir(name)
-        draw_hint = f"To draw the file, type `gsgen render {name} -o picture.png`."
-        error.hint = f"To validate it, type `gsgen validate {name}`." if is_checked else draw_hint
+        draw_hint = f"To draw the file, type `gsgen render {word} -o picture.png`."
+        error.hint = f"To validate it, type `gsgen validate {word}`." if is_checked else draw_hint
     return error

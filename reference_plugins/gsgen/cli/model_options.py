@@ -1,11 +1,9 @@
 """Options and helper functions that several commands of the SDK share."""
 
 __all__ = [
-    "AsJson", "DryRun", "ModelFile", "Sizes", "copy_of", "echo_json", "exit_at_error", "first_names",
-    "sizes_of",
+    "AsJson", "DryRun", "ModelFile", "Sizes", "copy_of", "exit_at_error", "first_names", "sizes_of",
 ]  # fmt: skip
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo_error
 from gsgen.cli.progress import clear
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
 
@@ -59,15 +58,10 @@ def exit_at_error() -> Iterator[None]:
         raise
     except GsgenError as error:
         clear()
-        typer.echo(f"gsgen: {error}", err=True)
+        echo_error(error)
         code = ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
         raise typer.Exit(code) from error
     clear()
-
-
-def echo_json(document: object) -> None:
-    """Print a document as indented JSON."""
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
 
 
 def first_names(names: Sequence[str], max_names: int) -> str:

@@ -9,6 +9,9 @@ import re
 import sys
 from typing import TYPE_CHECKING, Final
 
+from gsgen.cli.text_streams import unescaped
+from gsgen.contract._safe_text import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
@@ -88,7 +91,7 @@ def display_of(*columns: "ProgressColumn") -> "Progress":
 
     return Progress(
         *columns,
-        console=Console(stderr=True),
+        console=Console(file=unescaped(sys.stderr)),
         transient=True,
         # rich's stand-in for stderr would write UTF-8 past the transliteration.
         redirect_stdout=False,
@@ -102,7 +105,7 @@ _progress_line: Final = _ProgressLine()
 def progress(words: str) -> None:
     """Replace the text of the progress line on stderr."""
     if sys.stderr.isatty():
-        _progress_line.show(words)
+        _progress_line.show(printable(words))
 
 
 def clear() -> None:

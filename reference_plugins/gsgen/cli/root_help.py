@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gsgen.cli.command_table import Command, panels
+from gsgen.contract._safe_text import printable
 
 _SUMMARY: Final = (
     "Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians."
@@ -36,7 +37,7 @@ def print_help() -> None:
         rows = ((command.name, command.summary) for command in panel)
         console.print(_panel(title, rows, width))
     if note := missing_note(command for panel in commands.values() for command in panel):
-        console.print(Padding(Text(note), 1))
+        console.print(Padding(Text(printable(note)), 1))
 
 
 def _panel(title: str, rows: Iterable[tuple[str, str]], width: int | None = None) -> Panel:
@@ -45,7 +46,7 @@ def _panel(title: str, rows: Iterable[tuple[str, str]], width: int | None = None
     table.add_column(style="bold cyan", no_wrap=True, min_width=width)
     table.add_column()
     for name, meaning in rows:
-        table.add_row(name, Text(meaning))
+        table.add_row(Text(printable(name)), Text(printable(meaning)))
     return Panel(table, title=title, title_align="left", border_style="dim")
 
 

@@ -1,16 +1,23 @@
-"""Lets stdout and stderr accept any text, by transliterating characters they cannot encode.
+"""Lets stdout and stderr accept any text, and keeps it from controlling a terminal or a CI system.
 
-Output that is piped or redirected has the encoding of the system's locale: cp1252 on most Windows
+Every command writes through these streams, so that no name of a stranger's file leaves unescaped,
+even where a command or a plugin does not escape it. Output that is piped or redirected has the encoding of the system's locale: cp1252 on most Windows
 machines, ASCII in the C locale. Printing ``→`` there raises UnicodeEncodeError.
 """
 
-__all__ = ["accept_any_text", "transliterate"]
+__all__ = ["SafeStream", "accept_any_text", "safe_streams", "transliterate", "unescaped"]
 
 import codecs
+import os
+import re
 import sys
 import unicodedata
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from io import TextIOWrapper
-from typing import Final, TextIO
+from typing import Any, Final, TextIO, final
+
+from gsgen.contract._safe_text import for_terminal
 
 _HANDLER_NAME: Final = "gsgen-transliterate"
 _ASCII_ERROR_HANDLER: Final = "gsgen-ascii"
@@ -25,6 +32,66 @@ _ASCII_SUBSTITUTES: Final = {
     "\xa0": " ", "\u202f": " ",
 }  # fmt: skip
 _TAG_MARKS: Final = {"<super>": "^", "<sub>": "_"}
+# What sets colours or erases a line, and variables that make typer use colours in a log.
+_COLOUR: Final = re.compile(r"(\x1b\[[0-9;]*m|\r\x1b\[2K)")
+_COLOUR_VARIABLES: Final = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
+
+
+@final
+class SafeStream:
+    """A text stream that escapes what could control a terminal or a CI system.
+
+    Args:
+        stream: The stream to write to.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.unescaped = stream
+        self._starts_line = True
+        self._has_colours = stream.isatty() or any(map(os.environ.get, _COLOUR_VARIABLES))
+
+    def write(self, text: str) -> int:
+        """Write a text with escape sequences of Python for characters without a glyph."""
+        parts = _COLOUR.split(text) if self._has_colours and "\x1b" in text else [text]
+        for number, part in enumerate(parts):
+            is_colour = number % 2 == 1
+            self.unescaped.write(part if is_colour else self._escape(part))
+        return len(text)
+
+    def _escape(self, text: str) -> str:
+        safe_text = for_terminal(text, starts_line=self._starts_line)
+        last_line = text.rpartition("\n")[2]
+        is_blank = not last_line or last_line.isspace()
+        self._starts_line = is_blank and (self._starts_line or "\n" in text)
+        return safe_text
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write each of the texts."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unescaped, name)
+
+
+@contextmanager
+def safe_streams() -> Iterator[None]:
+    """Let stdout and stderr be safe streams during the block."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(_safe, streams)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
+def _safe(stream: TextIO | None) -> Any:
+    return stream if stream is None or isinstance(stream, SafeStream) else SafeStream(stream)
+
+
+def unescaped(stream: TextIO) -> TextIO:
+    """Return the stream below a safe stream, for text of which every part is escaped already."""
+    return stream.unescaped if isinstance(stream, SafeStream) else stream
 
 
 def accept_any_text() -> None:

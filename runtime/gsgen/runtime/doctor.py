@@ -27,9 +27,9 @@ print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], def
 _EXPLAIN_RENDERER = """
 import json
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.renderer.rasteriser_choice import explain
+from gsgen.runtime.renderer.rasteriser_choice import describe_choice
 device = Device.open()
-print(json.dumps(f"{device.name}: {explain(device)}"))
+print(json.dumps(f"{device.name}: {describe_choice(device)}"))
 """
 _WINDOW_TEST_SCRIPT = """
 import json

@@ -12,7 +12,6 @@ from gsgen.contract.probing.differences import largest_difference, paired_blocks
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, Extremes, Sample
-from gsgen.contract.probing.sandbox_worker import subsample_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +55,8 @@ class ProbeRun:
     @property
     def outputs(self) -> dict[str, np.ndarray]:
         """The run's outputs, sampled if they have many rows; empty if the run failed."""
+        from gsgen.contract.probing.sandbox_worker import subsample_rows
+
         if self.sample is None:
             return {}
         return {name: subsample_rows(value) for name, value in self.sample.outputs.items()}

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.drafts import temporary_folder
 
@@ -85,7 +86,7 @@ def refuse_missing_folder(path: Path) -> None:
         ConfigInvalid: There is no such folder.
     """
     if not path.parent.exists():
-        hint = f"Create it: mkdir -p {path.parent}"
+        hint = f"Create it: mkdir -p {for_shell(str(path.parent))}"
         raise ConfigInvalid(
             "the output is in a folder that does not exist", where=str(path), hint=hint
         )

@@ -4,7 +4,8 @@ __all__ = ["to_github"]
 
 from collections.abc import Sequence
 
-from gsgen.contract.reporters.summary import printable, summary_line, verdict_line
+from gsgen.contract._safe_text import without_commands
+from gsgen.contract.reporters.summary import summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Unreadable
@@ -35,9 +36,9 @@ def to_github(entries: Sequence[Entry]) -> str:
         for finding in entry.findings:
             if finding.counts:
                 lines.append(_annotation(entry.path, finding))
-        lines.append(_without_commands(f"gsgen: {entry.path}: {verdict_line(entry)}"))
+        lines.append(without_commands(f"gsgen: {entry.path}: {verdict_line(entry)}"))
     return "\n".join(
-        [*lines, _without_commands(summary_line(entries))] if len(entries) > 1 else lines
+        [*lines, without_commands(summary_line(entries))] if len(entries) > 1 else lines
     )
 
 
@@ -54,15 +55,10 @@ def _command(command: str, path: str, title: str, text: str) -> str:
 
 
 def _escape_data(text: str) -> str:
-    text = printable(text, kept_chars="\n").replace("##[", "## [")
+    text = without_commands(text, kept_chars="\n")
     return text.replace("%", "%25").replace("\n", "%0A")
 
 
 def _escape_property(text: str) -> str:
-    escaped_text = printable(text).replace("##[", "## [").replace("%", "%25")
-    return escaped_text.replace(":", "%3A").replace(",", "%2C")
-
-
-def _without_commands(text: str) -> str:
-    """Return a text as a line that GitHub does not take for a workflow command like ``##[``."""
-    return printable(text).replace("##[", "## [")
+    escaped = without_commands(text).replace("%", "%25")
+    return escaped.replace(":", "%3A").replace(",", "%2C")

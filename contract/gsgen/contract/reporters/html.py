@@ -7,18 +7,12 @@ __all__ = ["to_html"]
 
 import base64
 from collections.abc import Iterable, Sequence
-from html import escape
 from importlib.resources import files
 
+from gsgen.contract._safe_text import for_html
 from gsgen.contract.reporters.plots import histogram, number_line
 from gsgen.contract.reporters.rule_pages import help_url
-from gsgen.contract.reporters.summary import (
-    plural,
-    printable,
-    summary_line,
-    verdict_line,
-    verdict_word,
-)
+from gsgen.contract.reporters.summary import plural, summary_line, verdict_line, verdict_word
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Outcome, Picture, Report, Unreadable
@@ -39,12 +33,12 @@ def to_html(entries: Sequence[Entry]) -> str:
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="{_SECURITY_POLICY}">
-<title>gsgen: {_escape_text(title)}</title>
+<title>gsgen: {for_html(title)}</title>
 <style>
 {style}</style>
 </head>
 <body>
-<header><h1>gsgen validate</h1><p>{_escape_text(summary_line(entries))}</p></header>
+<header><h1>gsgen validate</h1><p>{for_html(summary_line(entries))}</p></header>
 <main>
 {index}{sections}
 </main>
@@ -52,13 +46,9 @@ def to_html(entries: Sequence[Entry]) -> str:
 </html>"""
 
 
-def _escape_text(text: str) -> str:
-    return escape(printable(text, kept_chars="\n"))
-
-
 def _index(entries: Sequence[Entry]) -> str:
     items = "".join(
-        f'<li><a href="#model-{number}">{_escape_text(entry.path)}</a> {_verdict(entry)}</li>'
+        f'<li><a href="#model-{number}">{for_html(entry.path)}</a> {_verdict(entry)}</li>'
         for number, entry in enumerate(entries, 1)
     )
     return f"<nav><ol>{items}</ol></nav>\n"
@@ -69,18 +59,18 @@ def _verdict(entry: Entry) -> str:
         return '<span class="chip error">unreadable</span>'
     passes = entry.verdict == "conforms" and not entry.unchecked
     kind = "pass" if passes else "error"
-    return f'<span class="chip {kind}">{_escape_text(verdict_word(entry))}</span>'
+    return f'<span class="chip {kind}">{for_html(verdict_word(entry))}</span>'
 
 
 def _report_section(entry: Entry, number: int) -> str:
-    head = f'<section id="model-{number}"><h2>{_escape_text(entry.path)} {_verdict(entry)}</h2>'
+    head = f'<section id="model-{number}"><h2>{for_html(entry.path)} {_verdict(entry)}</h2>'
     if isinstance(entry, Unreadable):
-        return f"{head}<pre>{_escape_text(str(entry.error))}</pre></section>"
+        return f"{head}<pre>{for_html(str(entry.error))}</pre></section>"
     counted = [finding for finding in entry.findings if finding.counts]
     remaining = [finding for finding in entry.findings if not finding.counts]
     parts = [
         head,
-        f"<p>{_escape_text(verdict_line(entry))}</p>",
+        f"<p>{for_html(verdict_line(entry))}</p>",
         _facts(entry),
         _picture(entry.picture),
         *(_unchecked_html(outcome) for outcome in entry.unchecked),
@@ -110,7 +100,7 @@ def _facts(report: Report) -> str:
         "runs of the model": "; ".join(runs),
         "took": f"{report.seconds:.2f} s" if report.timed else "",
     }
-    return _definition_list((name, _escape_text(value)) for name, value in facts.items() if value)
+    return _definition_list((name, for_html(value)) for name, value in facts.items() if value)
 
 
 def _definition_list(items: Iterable[tuple[str, str]]) -> str:
@@ -121,15 +111,15 @@ def _definition_list(items: Iterable[tuple[str, str]]) -> str:
 def _picture(picture: Picture | None) -> str:
     if picture is None or not picture.png:
         problem = picture.problem if picture else "pictures were not asked for"
-        return f'<p class="note">Not drawn: {_escape_text(problem)}.</p>'
-    data, label = base64.b64encode(picture.png).decode(), _escape_text(picture.probe)
+        return f'<p class="note">Not drawn: {for_html(problem)}.</p>'
+    data, label = base64.b64encode(picture.png).decode(), for_html(picture.probe)
     image = f'<img alt="The model at probe {label}" src="data:image/png;base64,{data}">'
     return f"<figure>{image}<figcaption>Probe {label}, drawn by gsgen.</figcaption></figure>"
 
 
 def _unchecked_html(outcome: Outcome) -> str:
-    name = _escape_text(f"{outcome.rule.id} {outcome.rule.slug}")
-    reason = _escape_text(f"{outcome.status}: {outcome.reason}")
+    name = for_html(f"{outcome.rule.id} {outcome.rule.slug}")
+    reason = for_html(f"{outcome.status}: {outcome.reason}")
     severity_chip = '<span class="chip error">required</span>'
     return f"<article><h3>{severity_chip} {name}</h3><p>Not checked. {reason}</p></article>"
 
@@ -138,17 +128,17 @@ def _finding_html(finding: Finding, report: Report) -> str:
     actual, _, expected = finding.message.rpartition(_EXPECTED_SEPARATOR)
     rule = next(o.rule for o in report.outcomes if o.rule.id == finding.rule)
     url = help_url(rule, report.docs_url)
-    name = _escape_text(f"{finding.rule} {finding.slug}")
-    title = f'<a href="{escape(url)}">{name}</a>' if url else name
+    name = for_html(f"{finding.rule} {finding.slug}")
+    title = f'<a href="{for_html(url)}">{name}</a>' if url else name
     certainty_text = ", possible" if finding.certainty == "possible" else ""
     severity = finding.severity.word
     facts = [
-        ("where", _escape_text(str(finding.where))),
-        ("actual", _escape_text(actual or finding.message)),
-        ("expected", _escape_text(expected)),
-        ("why", _escape_text(rule.rationale)),
-        ("hint", _escape_text(finding.hint)),
-        ("waived", _escape_text(finding.waiver)),
+        ("where", for_html(str(finding.where))),
+        ("actual", for_html(actual or finding.message)),
+        ("expected", for_html(expected)),
+        ("why", for_html(rule.rationale)),
+        ("hint", for_html(finding.hint)),
+        ("waived", for_html(finding.waiver)),
     ]
     plots = [histogram(finding.distribution, str(finding.where)) if finding.distribution else ""]
     plots += [number_line(finding.statistic) if finding.statistic else ""]
@@ -159,8 +149,8 @@ def _finding_html(finding: Finding, report: Report) -> str:
 
 def _rules_table(report: Report) -> str:
     rows = "".join(
-        f"<tr><td>{_escape_text(o.rule.id)}</td><td>{_escape_text(o.rule.slug)}</td>"
-        f"<td>{_escape_text(o.status)}</td><td>{_escape_text(o.reason)}</td></tr>"
+        f"<tr><td>{for_html(o.rule.id)}</td><td>{for_html(o.rule.slug)}</td>"
+        f"<td>{for_html(o.status)}</td><td>{for_html(o.reason)}</td></tr>"
         for o in report.outcomes
     )
     head = "<tr><th>rule</th><th>name</th><th>status</th><th>reason</th></tr>"

@@ -2,11 +2,11 @@
 
 __all__ = ["SCHEMA", "finding_to_dict", "to_dict", "to_json"]
 
-import json
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
+from gsgen.contract._safe_text import for_json
 from gsgen.contract.reporters.document import (
     SCHEMA,
     CauseEntry,
@@ -50,9 +50,7 @@ def to_json(entries: Sequence[Entry]) -> str:
     document: Any = (
         documents[0] if len(documents) == 1 else {"schema": SCHEMA, "reports": documents}
     )
-    text = json.dumps(document, indent=2, ensure_ascii=False)
-    # A path may hold half a surrogate pair, which UTF-8 cannot encode; JSON allows an escape.
-    return text.encode("utf-8", "backslashreplace").decode()
+    return for_json(document)
 
 
 def to_dict(entry: Entry) -> dict[str, Any]:

@@ -9,13 +9,8 @@ import re
 from collections.abc import Sequence
 from itertools import groupby
 
-from gsgen.contract.reporters.summary import (
-    plural,
-    printable,
-    summary_line,
-    verdict_line,
-    verdict_word,
-)
+from gsgen.contract._safe_text import for_markdown, printable
+from gsgen.contract.reporters.summary import plural, summary_line, verdict_line, verdict_word
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
@@ -52,7 +47,7 @@ def _section(entry: Entry) -> str:
     introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
     parts = [
         f"### {_VERDICT_SIGNS[entry.verdict]} {code(entry.path)}",
-        f"**{_escape_markdown(verdict_line(entry))}**",
+        f"**{for_markdown(verdict_line(entry))}**",
         introduction,
     ]
     causes = {cause.outcome.rule.id: cause for cause in entry.causes}
@@ -71,9 +66,9 @@ def _section(entry: Entry) -> str:
 
 def _finding(finding: Finding) -> str:
     certainty_text = " (possible)" if finding.certainty == "possible" else ""
-    head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{certainty_text}"
+    head = f"**{for_markdown(finding.rule)} {for_markdown(finding.slug)}** {finding.severity.word}{certainty_text}"
     location = f"{code(str(finding.where))}: {code(finding.message)}"
-    return f"- {head} at {location}\n  - hint: {finding.hint}"
+    return f"- {head} at {location}\n  - hint: {printable(finding.hint)}"
 
 
 def _report_details(report: Report) -> list[str]:
@@ -105,8 +100,3 @@ def code(text: str) -> str:
         " " if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ") else ""
     )
     return f"{code_fence}{padding}{printable_text}{padding}{code_fence}"
-
-
-def _escape_markdown(text: str) -> str:
-    """Escape Markdown punctuation in ``text`` for use outside a code span."""
-    return re.sub(r"([\\`*_\[\]<>|~@&#])", r"\\\1", printable(text))

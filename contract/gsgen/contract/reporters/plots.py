@@ -2,8 +2,8 @@
 
 __all__ = ["histogram", "number_line"]
 
-from html import escape
 
+from gsgen.contract._safe_text import for_html
 from gsgen.contract.validation.finding import Distribution, Statistic
 
 _WIDTH, _PLOT_HEIGHT = 480, 120
@@ -67,11 +67,11 @@ def _bar_svg(kind: str, left: float, top: float, width: float, height: float) ->
 
 
 def _label(left: float, anchor: str, text: str, top: float = 114) -> str:
-    return f'<text x="{left:.1f}" y="{top:g}" text-anchor="{anchor}">{escape(text)}</text>'
+    return f'<text x="{left:.1f}" y="{top:g}" text-anchor="{anchor}">{for_html(text)}</text>'
 
 
 def _svg(parts: list[str], label: str) -> str:
-    label_html = escape(label)
+    label_html = for_html(label)
     size = f'viewBox="0 0 {_WIDTH} {_PLOT_HEIGHT}"'
     image = f'<svg role="img" aria-label="{label_html}" {size}>{"".join(parts)}</svg>'
     return f"<figure>{image}<figcaption>{label_html}</figcaption></figure>"

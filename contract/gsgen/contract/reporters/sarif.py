@@ -6,7 +6,6 @@ result points at line 1 of the file: some readers reject results without a line.
 
 __all__ = ["to_sarif"]
 
-import json
 import os
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
@@ -14,8 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from gsgen.contract._safe_text import for_json, printable
 from gsgen.contract.reporters.rule_pages import help_url
-from gsgen.contract.reporters.summary import printable
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
@@ -57,9 +56,7 @@ def to_sarif(entries: Sequence[Entry]) -> str:
         "results": results,
     }
     log = {"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}
-    return json.dumps(
-        log, indent=2
-    )  # in ASCII: a path may hold characters that UTF-8 cannot encode
+    return for_json(log)
 
 
 def _rules_of_findings(report: Report) -> set[str]:

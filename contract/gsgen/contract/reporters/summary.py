@@ -5,15 +5,11 @@ __all__ = ["plural", "printable", "summary_line", "verdict_line", "verdict_word"
 from collections import Counter
 from collections.abc import Sequence
 
+from gsgen.contract._safe_text import printable
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
 _CRASHED_TEXT = "a rule crashed, no verdict"
-
-
-def printable(text: str, *, kept_chars: str = "") -> str:
-    """Escape control characters, since a tensor's name must not control a terminal."""
-    return "".join(c if c.isprintable() or c in kept_chars else ascii(c)[1:-1] for c in text)
 
 
 def plural(count: int, noun: str) -> str:

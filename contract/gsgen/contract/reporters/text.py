@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from gsgen.contract.reporters.summary import plural, printable, summary_line, verdict_line
+from gsgen.contract._safe_text import printable
+from gsgen.contract.reporters.summary import plural, summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Finding

@@ -5,6 +5,9 @@ The front matter is that of the Hub's model cards, https://huggingface.co/docs/h
 
 __all__ = ["model_card"]
 
+from urllib.parse import quote
+
+from gsgen.contract._safe_text import for_markdown, for_shell, for_yaml
 from gsgen.contract.reporters.markdown import code
 from gsgen.contract.reporters.summary import verdict_line
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
@@ -31,14 +34,15 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
     producer = manifest.producer
     licence = producer.license if producer and producer.license else ""
     tags = ["gaussian-splatting", "3dgs", "onnx", manifest.kind]
-    front_matter = ["---", *([f"license: {licence.lower()}"] if licence else [])]
-    front_matter += ["library_name: gsgen", "tags:", *(f"- {tag}" for tag in tags), "---"]
-    title = f"# {manifest.name or file}"
+    front_matter = ["---", *([f"license: {for_yaml(licence.lower())}"] if licence else [])]
+    front_matter += ["library_name: gsgen", "tags:", *(f"- {for_yaml(tag)}" for tag in tags), "---"]
+    title = f"# {for_markdown(manifest.name or file)}"
     summary = f"{code(file)} ({format_bytes(report.size)}) is {_KIND_TEXTS[manifest.kind]}."
     sections = ["\n".join(front_matter), title]
     if picture:
         probe = report.picture.probe if report.picture else ""
-        sections.append(f"![The model drawn at the probe {probe}]({picture})")
+        alt = for_markdown(f"The model drawn at the probe {probe}")
+        sections.append(f"![{alt}]({quote(picture)})")
     sections.append(summary)
     if producer:
         source = f" from {code(producer.source)}" if producer.source else ""
@@ -48,14 +52,15 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
         sections += ["## Outputs", _outputs(manifest)]
     checked = (
         f"Validated for target {code(report.target.name)} at level {report.level.word}, "
-        f"contract {report.contract}:"
+        f"contract {for_markdown(report.contract)}:"
     )
-    sections += ["## Verdict", checked, f"> {verdict_line(report)}"]
+    sections += ["## Verdict", checked, f"> {for_markdown(verdict_line(report))}"]
     findings = [f"- {f.rule} {f.severity.word}: {code(f.message)}" for f in report.findings]
     sections += ["\n".join(findings)] if findings else []
-    commands = [f"gsgen validate {file}", f"gsgen inspect {file}"]
+    word = for_shell(file)
+    commands = [f"gsgen validate {word}", f"gsgen inspect {word}"]
     if isinstance(manifest, GeneratorManifest):
-        commands.append(f"gsgen render {file} -o picture.png")
+        commands.append(f"gsgen render {word} -o picture.png")
     sections += ["## Use", "\n".join(["```bash", *commands, "```"])]
     return "\n\n".join(sections) + "\n"
 
@@ -68,8 +73,10 @@ def _input_table(inputs: tuple[Input, ...]) -> str:
         default = "" if entry.default is None else str(entry.default)
         shape = "" if entry.shape is None else str(list(entry.shape))
         span = "" if entry.range is None else f"{entry.range[0]:g} to {entry.range[1]:g}"
-        cells = (code(entry.name), entry.role, shape, span, default, entry.convention or "")
-        lines.append(f"| {' | '.join(cell.replace('|', ' ') for cell in cells)} |")
+        name = code(entry.name).replace("|", "\\|")
+        role, default, convention = map(for_markdown, (entry.role, default, entry.convention or ""))
+        cells = (name, role, shape, span, default, convention)
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

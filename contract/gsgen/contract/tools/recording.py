@@ -11,7 +11,6 @@ __all__ = [
 ]
 
 import json
-import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.model.files_beside import contained_file
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
@@ -69,7 +69,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
     """
     file = open_model(source)
     subject = inspect_model(file, settings.target, settings.limits)
-    where, quoted_path = str(source), shlex.quote(str(source))
+    where, quoted_path = str(source), for_shell(str(source))
     if subject.parsed is None:
         hint = (
             f"`gsgen inspect {quoted_path} --emit-manifest` derives one; correct it, and embed it "

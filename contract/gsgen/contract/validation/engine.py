@@ -20,7 +20,6 @@ from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, execute
-from gsgen.contract.probing.sandbox_worker import EXTRA_PROBE_TIME_SHARE
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
 from gsgen.contract.validation.finding import Finding
@@ -274,6 +273,8 @@ class _Validation:
                 self.results.settle([rule], items=len(probe_runs.execution.runs))
 
     def _unfinished_reason(self, probes: list[tuple[str, str]]) -> str:
+        from gsgen.contract.probing.sandbox_worker import EXTRA_PROBE_TIME_SHARE
+
         count = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
         label, missing_resource = probes[0]
         if missing_resource == "memory":

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
+from gsgen.contract._safe_text import printable
+
 if TYPE_CHECKING:
     from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 
@@ -106,7 +108,7 @@ def with_time_options(build: Callable[..., _OptionType]) -> Callable[..., _Optio
 def note(text: str) -> None:
     """Print a line to stderr, and overwrite the progress line that is shown there, if any."""
     clear = "\r\x1b[2K" if sys.stderr.isatty() else ""
-    typer.echo(f"{clear}{text}", err=True)
+    sys.stderr.write(f"{clear}{printable(text)}\n")
 
 
 def report_checkpoint(description: str, cfg: "CfgArgs") -> None:

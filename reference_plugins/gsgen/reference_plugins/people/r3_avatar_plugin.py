@@ -117,9 +117,9 @@ def build(
 
 def _show_progress(frame: int, frames: int) -> None:
     if sys.stderr.isatty():
-        typer.echo(f"\r\x1b[2Knearest vertices: {frame} of {frames} …", err=True, nl=False)
+        sys.stderr.write(f"\r\x1b[2Knearest vertices: {frame} of {frames} …")
         if frame == frames:
-            typer.echo("\r\x1b[2K", err=True, nl=False)
+            sys.stderr.write("\r\x1b[2K")
 
 
 def parse_pose_ids(text: str) -> list[int]:

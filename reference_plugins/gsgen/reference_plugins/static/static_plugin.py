@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.formats.codecs import format_titles
+from gsgen.reference_plugins.loading.options import note
 from gsgen.sdk.plugins.plugin import Demo, Plugin
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def build(
     from gsgen.reference_plugins.static.static import StaticScene
 
     content = _read(file)
-    typer.echo(f"{file}: {_describe(content)}", err=True)
+    note(f"{file}: {_describe(content)}")
     return StaticScene(
         content=content,
         opacity=opacity,
@@ -73,7 +74,7 @@ def _read(file: Path) -> "Splats | PointCloud | PackedRows":
         warnings.simplefilter("always", FormatWarning)
         content = open_splats(file, drop_invalid=True)
     for warning in caught_warnings:
-        typer.echo(f"note: {warning.message}", err=True)
+        note(f"note: {warning.message}")
     return content
 
 

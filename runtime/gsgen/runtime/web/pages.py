@@ -10,7 +10,6 @@ __all__ = [
 ]
 
 import base64
-import html
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -20,6 +19,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, final
 
+from gsgen.contract._safe_text import for_html, for_shell
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
@@ -70,7 +70,7 @@ class ModelView:
         if self.fov is not None:
             attribute_names.append(f'field-of-view="{self.fov:g}"')
         if self.up is not None:
-            attribute_names.append(f'up="{html.escape(self.up)}"')
+            attribute_names.append(f'up="{for_html(self.up)}"')
         if self.time is not None:
             attribute_names.append(f'time="{self.time:g}"')
         elif self.play:
@@ -106,7 +106,7 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
             open_model(path)  # which names a file of another kind
             return path.read_bytes()
         if is_mesh(path):
-            hint = f"`gsgen render {path} -o picture.png` draws it."
+            hint = f"`gsgen render {for_shell(str(path))} -o picture.png` draws it."
             raise SceneUnreadable(
                 "is a mesh, expected splats or a generator: pages draw no meshes",
                 where=str(path),
@@ -200,15 +200,15 @@ def _inline_script(identifier: str, content: bytes) -> str:
 
 
 def _figure_html(address: str, path: Path, view: ModelView) -> str:
-    name = html.escape(path.name)
+    name = for_html(path.name)
     return (
-        f'<figure><gsgen-model src="{html.escape(address)}" name="{name}" alt="{name}" '
+        f'<figure><gsgen-model src="{for_html(address)}" name="{name}" alt="{name}" '
         f"{view.attributes()}></gsgen-model><figcaption>{name}</figcaption></figure>"
     )
 
 
 def _page(names: list[str], head: list[str], figures: list[str], end: str) -> str:
-    title = html.escape(", ".join(names))
+    title = for_html(", ".join(names))
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',

@@ -11,6 +11,7 @@ from typing import cast, final
 
 import numpy as np
 
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import Splats, read_ply
@@ -67,7 +68,7 @@ def open_generator(path: Path) -> Generator:
         raise ConfigInvalid(
             f"the model {error.message}",
             where=str(path),
-            hint=f"`gsgen validate {path}` explains the findings.",
+            hint=f"`gsgen validate {for_shell(str(path))}` explains the findings.",
         ) from error
     roles = sorted({entry.role for entry in manifest.inputs})
     spans = [entry.range for entry in manifest.inputs if entry.role == "time"]

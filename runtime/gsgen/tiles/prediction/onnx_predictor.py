@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import InputUnreadable
 from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.model.model_file import open_model
@@ -62,7 +63,7 @@ class TrajectoryModel:
             raise InputUnreadable(
                 f"is {kind}, expected kind trajectory-predictor",
                 where=str(path),
-                hint=f"Check it with: gsgen validate {path}",
+                hint=f"Check it with: gsgen validate {for_shell(str(path))}",
             )
         histories = [entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT]
         state = STATE_SIZES[manifest.outputs.future.representation]
@@ -74,7 +75,7 @@ class TrajectoryModel:
                 f"{manifest.step_seconds} s, expected [T, {state}] with T from 1 to {_MAX_HISTORY_LENGTH} and a "
                 "time step above 0 s",
                 where=str(path),
-                hint=f"Check it with: gsgen validate {path}",
+                hint=f"Check it with: gsgen validate {for_shell(str(path))}",
             )
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
@@ -107,7 +108,7 @@ class TrajectoryModel:
                 f"the model fails: {str(error).splitlines()[0]}", where=self.name
             ) from error
         shape = (self.steps, self._width)
-        hint = f"Check it with: gsgen validate {self.name}"
+        hint = f"Check it with: gsgen validate {for_shell(self.name)}"
         if future.shape != shape:
             raise InputUnreadable(
                 f"outputs states {list(future.shape)}, expected {list(shape)}",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.contract._safe_text import printable
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats.glb.container import Container
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
@@ -167,7 +168,7 @@ def open_session(
 
 
 def _print_line(line: str) -> None:
-    sys.stderr.write(f"gsgen: {line}\n")
+    sys.stderr.write(f"gsgen: {printable(line)}\n")
 
 
 @final

@@ -12,7 +12,6 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probe_plan import probed_dtypes, probed_shapes
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
-from gsgen.contract.probing.sandbox_worker import subsample_step
 from gsgen.contract.probing.test_vectors import (
     MAX_RECORDED_VECTORS,
     MAX_VECTOR_SEEDS,
@@ -122,6 +121,8 @@ def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _run_faults(subject: InspectedModel, vector: TestVector, run: ProbeRun) -> Iterator[Fault]:
+    from gsgen.contract.probing.sandbox_worker import subsample_step
+
     if run.sample is None:
         yield run.error, "a run"
         return

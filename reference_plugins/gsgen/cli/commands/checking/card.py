@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_text
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ExitCode
 
 
@@ -52,7 +54,7 @@ def card(
         raise ConfigInvalid(
             "the model has no valid manifest, from which a model card is written",
             where=str(model),
-            hint=f"gsgen validate {model} --level static",
+            hint=f"gsgen validate {for_shell(str(model))} --level static",
         )
     progress(f"validating {model.name}")
     try:
@@ -69,9 +71,9 @@ def card(
         clear()
     text = model_card(report, manifest, model.name, picture)
     if output is None:
-        typer.echo(text, nl=False)
+        echo_text(text, end="")
     else:
         write_text(output, text)
         reason = report.picture.problem if report.picture is not None else ""
-        typer.echo(f"{output}: {report.verdict}{'' if picture else f'; no picture: {reason}'}")
+        echo(f"{output}: {report.verdict}{'' if picture else f'; no picture: {reason}'}")
     raise typer.Exit(ExitCode.SUCCESS if report.verdict == "conforms" else ExitCode.FAILURE)

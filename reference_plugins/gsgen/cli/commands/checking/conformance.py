@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.options import AsJson, Config, FailOn, LevelName, TargetName
+from gsgen.cli.output import echo_error, echo_text
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 
 if TYPE_CHECKING:
@@ -101,11 +102,11 @@ def _print(entries: "list[Entry]", format: Format) -> None:
     clear()
     for entry in entries:
         if isinstance(entry, Unreadable):
-            typer.echo(f"gsgen: {entry.error}", err=True)
+            echo_error(entry.error)
         elif format is Format.TEXT:
             show(lines_of(entry))
     if format is Format.JSON:
-        typer.echo(to_json(entries))
+        echo_text(to_json(entries))
 
 
 def _refuse_unused_suites(

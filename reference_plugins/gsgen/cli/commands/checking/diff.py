@@ -2,7 +2,6 @@
 
 __all__ = ["diff"]
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ExitCode
 
 
@@ -41,10 +41,10 @@ def diff(
             ],
             "not_compared": reason or None,
         }
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        echo_json(document)
         raise typer.Exit(code)
     for fact in facts:
-        typer.echo(f"{fact.kind}  {fact.name}: {fact.first} → {fact.second}")
+        echo(f"{fact.kind}  {fact.name}: {fact.first} → {fact.second}")
     for output in outputs:
         is_same = (
             "equal bits"
@@ -53,11 +53,11 @@ def diff(
                 f"differ by up to {output.largest:.3g}, in {output.rows:,} rows (worst: {output.probe})"
             )
         )
-        typer.echo(f"output  {output.role}: {is_same}")
+        echo(f"output  {output.role}: {is_same}")
     if reason:
-        typer.echo(f"outputs were not compared: {reason}")
+        echo(f"outputs were not compared: {reason}")
     if code == ExitCode.SUCCESS:
-        typer.echo("no difference")
+        echo("no difference")
     raise typer.Exit(code)
 
 

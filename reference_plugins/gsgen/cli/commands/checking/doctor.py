@@ -2,13 +2,13 @@
 
 __all__ = ["doctor"]
 
-import json
 from dataclasses import asdict
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.output import echo_json
 from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON."
         document = {
             room: [asdict(check) for check in checks] for room, checks in checks_by_room.items()
         }
-        typer.echo(json.dumps(document, indent=2))
+        echo_json(document)
         raise typer.Exit(code)
     for room, checks in checks_by_room.items():
         show([Line(room, "bold")])

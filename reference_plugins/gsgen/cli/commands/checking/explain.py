@@ -2,10 +2,11 @@
 
 __all__ = ["explain"]
 
-import json
 from typing import Annotated
 
 import typer
+
+from gsgen.cli.output import echo_json, echo_text
 
 
 def explain(
@@ -31,6 +32,6 @@ def explain(
     entries = [registry.find(name) for name in rules]
     if as_json:
         document = [to_dict(entry, example_of(entry.id)) for entry in entries]
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        echo_json(document)
         return
-    typer.echo("\n".join(page(entry, registry, example_of(entry.id)) for entry in entries))
+    echo_text("\n".join(page(entry, registry, example_of(entry.id)) for entry in entries))

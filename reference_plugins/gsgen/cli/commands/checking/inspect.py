@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gsgen.cli.output import echo, echo_json, echo_text
+from gsgen.contract._safe_text import safe_json
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ def inspect(
     had to be guessed is listed on stderr.
     """
     if schema is not None:
-        typer.echo(json.dumps(_schema(schema), indent=2, ensure_ascii=False))
+        echo_json(_schema(schema))
         return
     if model is None:
         raise ConfigInvalid("MODEL is missing, expected an ONNX file or --schema KIND")
@@ -38,7 +40,7 @@ def inspect(
     if emit_manifest:
         _emit_manifest(subject)
     elif as_json:
-        typer.echo(json.dumps(_facts(subject), indent=2, ensure_ascii=False))
+        echo_json(_facts(subject))
     else:
         _show(subject)
 
@@ -66,16 +68,16 @@ def _emit_manifest(subject: "InspectedModel") -> None:
     from gsgen.contract.spec.manifest_io import dumps
 
     if subject.parsed is not None and subject.parsed.manifest is None:
-        typer.echo(subject.file.manifest_text or "")
-        typer.echo("this manifest is invalid: see `gsgen validate --level static`", err=True)
+        echo_text(subject.file.manifest_text or "")
+        echo("this manifest is invalid: see `gsgen validate --level static`", err=True)
         raise typer.Exit(ExitCode.FAILURE)
     manifest = subject.manifest
     assert manifest is not None
-    typer.echo(dumps(manifest))
+    echo_text(safe_json(dumps(manifest)))
     if subject.candidate is not None:
-        typer.echo(f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True)
+        echo(f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True)
         for guess in subject.candidate.guesses:
-            typer.echo(f"  - {guess}", err=True)
+            echo(f"  - {guess}", err=True)
 
 
 def _facts(subject: "InspectedModel") -> dict[str, Any]:
@@ -103,19 +105,19 @@ def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
 def _show(subject: "InspectedModel") -> None:
     facts, graph = _facts(subject), subject.graph
     opsets = ", ".join(f"{domain} {number}" for domain, number in facts["opsets"].items())
-    typer.echo(f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes")
+    echo(f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes")
     roles = {i.name: i.role for i in subject.manifest.inputs} if subject.manifest else {}
     for tensor in graph.inputs:
-        typer.echo(f"  input   {tensor.name}: {tensor}  {roles.get(tensor.name, '')}".rstrip())
+        echo(f"  input   {tensor.name}: {tensor}  {roles.get(tensor.name, '')}".rstrip())
     for tensor in graph.outputs:
-        typer.echo(f"  output  {tensor.name}: {tensor}")
+        echo(f"  output  {tensor.name}: {tensor}")
     if subject.parsed is None:
-        typer.echo("  no manifest: `gsgen inspect MODEL --emit-manifest` derives one")
+        echo("  no manifest: `gsgen inspect MODEL --emit-manifest` derives one")
     elif subject.manifest is None:
-        typer.echo("  the manifest is invalid: see `gsgen validate --level static`")
+        echo("  the manifest is invalid: see `gsgen validate --level static`")
     else:
         from gsgen.contract.spec.manifest_io import dumps
 
-        typer.echo("  manifest:")
-        for line in dumps(subject.manifest).splitlines():
-            typer.echo(f"    {line}")
+        echo("  manifest:")
+        for line in safe_json(dumps(subject.manifest)).split("\n"):
+            echo(f"    {line}")

@@ -2,7 +2,6 @@
 
 __all__ = ["repro"]
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.options import Config, Memory, Seed, TargetName, Timeout
+from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.contract.errors import ExitCode
 from gsgen.contract.spec.layout import FIELDS
 
@@ -57,17 +57,15 @@ def repro(
     try:
         reproduction = reproduce(model, checked_rule, settings, probe=probe, dump=dump)
     except ModelUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
+        echo_error(error)
         raise typer.Exit(ExitCode.UNREADABLE) from error
     dump_file = dump if dump is not None and dump.is_file() else None
     if as_json:
-        typer.echo(
-            json.dumps(_document(model, reproduction, dump_file), indent=2, ensure_ascii=False)
-        )
+        echo_json(_document(model, reproduction, dump_file))
     else:
         _show(model, reproduction)
         if dump_file:
-            typer.echo(f"  inputs and outputs: {dump_file}")
+            echo(f"  inputs and outputs: {dump_file}")
     raise typer.Exit(ExitCode.FAILURE if reproduction.findings else ExitCode.SUCCESS)
 
 

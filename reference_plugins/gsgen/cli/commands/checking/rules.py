@@ -2,12 +2,12 @@
 
 __all__ = ["rules"]
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import UnknownName
 
 if TYPE_CHECKING:
@@ -46,15 +46,15 @@ def rules(
                 pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry, example_of(rule.id))
             )
         write_text(pages / "index.md", index(registry))
-        typer.echo(f"{len(registry.rules)} pages in {pages}")
+        echo(f"{len(registry.rules)} pages in {pages}")
         return
     if as_json:
         document = [to_dict(rule, example_of(rule.id)) for rule in selected]
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        echo_json(document)
         return
     for rule in selected:
         headline = f"{rule.id}  {rule.severity.word:<7}  {rule.level.word:<9}  {rule.slug}"
-        typer.echo(f"{headline}\n    {rule.statement}")
+        echo(headline, f"    {rule.statement}")
 
 
 def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gsgen.cli.options import AsJson, Config, FailOn, LevelName, Memory, TargetName, Timeout
+from gsgen.cli.output import echo_commands, echo_error, echo_text
 from gsgen.contract.errors import ExitCode, UnknownName
 
 if TYPE_CHECKING:
@@ -200,10 +201,15 @@ def _print(
     clear()
     for entry in entries:
         if isinstance(entry, Unreadable):
-            typer.echo(f"gsgen: {entry.error}", err=True)
+            echo_error(entry.error)
     if format is not Format.TEXT:
         text = _format_entries(entries, format)
-        write_text(output, text + "\n") if output else typer.echo(text)
+        if output:
+            write_text(output, text + "\n")
+        elif format is Format.GITHUB:
+            echo_commands(text)
+        else:
+            echo_text(text)
         if format is Format.GITHUB:
             _summarise(entries)
         return

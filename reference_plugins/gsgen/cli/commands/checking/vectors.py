@@ -2,8 +2,6 @@
 
 __all__ = ["vectors"]
 
-import json
-import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.options import Config, Memory, Timeout
+from gsgen.cli.output import echo, echo_json
+from gsgen.contract._safe_text import for_shell
 
 if TYPE_CHECKING:
     from gsgen.contract.tools.test_vector_files import RecordedVectors
@@ -88,13 +88,11 @@ def _print(recorded_vectors: "RecordedVectors", *, as_json: bool) -> None:
             {"folder": str(folder)} | asdict(vector)
             for folder, vector in zip(data_set_folders, recorded_vectors.vectors, strict=True)
         ]
-        typer.echo(
-            json.dumps({"model": str(recorded_vectors.model), "vectors": file_lines}, indent=2)
-        )
+        echo_json({"model": str(recorded_vectors.model), "vectors": file_lines})
         return
     for folder, vector in zip(data_set_folders, recorded_vectors.vectors, strict=True):
-        typer.echo(f"{folder}: {vector.inputs}")
-    quoted_model = shlex.quote(str(recorded_vectors.model))
-    typer.echo(
+        echo(f"{folder}: {vector.inputs}")
+    quoted_model = for_shell(str(recorded_vectors.model))
+    echo(
         f"{recorded_vectors.model}: promises them; `gsgen validate {quoted_model}` runs them again"
     )

@@ -2,12 +2,13 @@
 
 __all__ = ["app"]
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_text
+from gsgen.contract._safe_text import for_json
 from gsgen.contract.errors import ExitCode, InputUnreadable
 
 app = typer.Typer(
@@ -35,9 +36,7 @@ def write(
     from gsgen.runtime.checks.viewer_kit import draw_frames
 
     index = write_kit(output, draw_frames)
-    typer.echo(
-        f"{index}: {len(kit_cases())} cases; check pictures with {output / 'check_viewer.py'}"
-    )
+    echo(f"{index}: {len(kit_cases())} cases; check pictures with {output / 'check_viewer.py'}")
 
 
 @app.command("check")
@@ -69,8 +68,8 @@ def check(
         result = checking.check_viewer(kit, pictures)
     except checking.KitUnreadable as error:
         raise InputUnreadable(str(error), hint=error.hint) from error
-    text = json.dumps(result, indent=2, ensure_ascii=False) if as_json else None
-    typer.echo(text or checking.summary_of(result).rstrip())
+    text = for_json(result) if as_json else None
+    echo_text(text or checking.summary_of(result).rstrip())
     if html is not None:  # after the verdict, which a page that cannot be written must not hide
         with atomic_write(html) as draft:
             draft.write_text(checking.page_of(kit, pictures, result), "utf-8")

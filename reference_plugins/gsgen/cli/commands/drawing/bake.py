@@ -2,7 +2,6 @@
 
 __all__ = ["bake"]
 
-import json
 import math
 from contextlib import closing, nullcontext
 from dataclasses import asdict
@@ -21,7 +20,7 @@ from gsgen.cli.commands.drawing.options import (
     model_limits,
     read_tracks,
 )
-from gsgen.cli.output import echo_error
+from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.formats.codecs import writable_formats
 
@@ -150,8 +149,8 @@ def bake(
         finally:
             clear()
     for note in report.notes:
-        typer.echo(f"note: {note}", err=True)
-    typer.echo(json.dumps(_as_dict(report), indent=2) if as_json else _as_text(report))
+        echo(f"note: {note}", err=True)
+    echo_json(_as_dict(report)) if as_json else echo(*_as_lines(report))
 
 
 def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
@@ -198,7 +197,7 @@ def _with_camera_times(
 
     camera_tracks, notes = camera_time_tracks(view, [source], tracks)
     for note in (*view.notes, *notes):
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
     return [*camera_tracks, *tracks]
 
 
@@ -218,7 +217,7 @@ def _as_dict(report: "BakeReport") -> dict[str, object]:
     return document
 
 
-def _as_text(report: "BakeReport") -> str:
+def _as_lines(report: "BakeReport") -> list[str]:
     first_frame, last_frame = report.frames[0], report.frames[-1]
     count = sum(frame.count for frame in report.frames)
     size = sum(frame.bytes for frame in report.frames) / (1 << 20)
@@ -243,4 +242,4 @@ def _as_text(report: "BakeReport") -> str:
             f"PSNR against the model at {report.test_cameras} {camera_word}: "
             f"{min(measured):.1f} dB{lowest_text}"
         )
-    return "\n".join(lines)
+    return lines

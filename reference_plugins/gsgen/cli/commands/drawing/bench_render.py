@@ -2,7 +2,6 @@
 
 __all__ = ["bench_render"]
 
-import json
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.commands.drawing import options
+from gsgen.cli.output import echo, echo_json
+from gsgen.contract._safe_text import for_json, printable
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.frame_cost import FrameCost, Span
@@ -69,15 +70,14 @@ def bench_render(
         # The orbit makes models that depend on the camera compute in every frame.
         sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)
         for note in sequence.notes:
-            typer.echo(f"note: {note}", err=True)
+            echo(f"note: {note}", err=True)
         cost = measure(sequence, progress)
     clear()
     document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}
-    text = json.dumps(document, indent=2, ensure_ascii=False)
     if output is not None:
-        write_text(output, text + "\n")
+        write_text(output, for_json(document) + "\n")
     if as_json:
-        typer.echo(text)
+        echo_json(document)
     else:
         _show(cost)
 
@@ -91,6 +91,7 @@ def _show(cost: "FrameCost") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column("per frame", no_wrap=True)
@@ -100,14 +101,14 @@ def _show(cost: "FrameCost") -> None:
     table.add_row("CPU, all threads", *_cells(cost.cpu))
     table.add_row("encode and submit, CPU", *_cells(cost.submit))
     for name, phase_times in cost.inference.items():
-        table.add_row(f"inference, {Path(name).name}", *_cells(phase_times))
+        table.add_row(Text(printable(f"inference, {Path(name).name}")), *_cells(phase_times))
     clock_name = "by the device" if cost.clock == "timestamps" else "CPU"
     for name, seconds in cost.stages.items():
         table.add_row(f"{name}, {clock_name}", _milliseconds(seconds), "")
     console = Console(highlight=False)
     console.print(table)
     for line in _summary_lines(cost):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(printable(line), markup=False, soft_wrap=True)
 
 
 def _cells(phase_times: "Span") -> tuple[str, str]:

@@ -2,7 +2,6 @@
 
 __all__ = ["convert"]
 
-import json
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict
@@ -27,7 +26,8 @@ from gsgen.cli.commands.drawing.convert_edits import (
     edits_in_order,
 )
 from gsgen.cli.commands.drawing.options import AsJson
-from gsgen.cli.output import echo_error
+from gsgen.cli.output import echo, echo_error, echo_json
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 from gsgen.contract.process.atomic_files import refuse_itself
 from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
@@ -159,9 +159,12 @@ def convert(
         if result_count < source_count
     ]
     document["notes"] = notes + loss_lines
-    text = "\n".join([_as_text(result, has_edits=bool(edits)), *loss_lines])
-    text = "\n\n".join([*map(statistics_text, summaries), text])
-    typer.echo(json.dumps(document, indent=2) if as_json else text)
+    if as_json:
+        echo_json(document)
+        return
+    for summary in summaries:
+        echo(*statistics_text(summary).split("\n"), "")
+    echo(*_as_lines(result, has_edits=bool(edits)), *loss_lines)
 
 
 def _with_reported_warnings(
@@ -190,7 +193,7 @@ def _with_reported_warnings(
     clear()
     notes = list(dict.fromkeys(str(warning.message) for warning in caught_warnings))
     for note in notes:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
     return result, notes
 
 
@@ -203,7 +206,7 @@ def _mesh_error(error: "FormatError") -> GsgenError:
     return ConfigInvalid(
         "is a mesh, expected splats",
         where=error.path,
-        hint=f"`gsgen render {error.path} -o picture.png` draws it.",
+        hint=f"`gsgen render {for_shell(str(error.path))} -o picture.png` draws it.",
     )
 
 
@@ -263,7 +266,7 @@ def _as_dict(result: "Conversion") -> dict[str, object]:
     return document
 
 
-def _as_text(result: "Conversion", *, has_edits: bool) -> str:
+def _as_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
     source_count, result_count = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
@@ -292,4 +295,4 @@ def _as_text(result: "Conversion", *, has_edits: bool) -> str:
     lines += not_compared
     if result.degree and not changed_differences and not result.lost_features and result.compared:
         lines.append("nothing was lost by the format" if has_edits else "nothing was lost")
-    return "\n".join(lines)
+    return lines

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from gsgen.cli.output import echo_error
+from gsgen.cli.output import echo, echo_error
 from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
@@ -129,7 +129,7 @@ def confined_models(
     from gsgen.sdk.binding.confined.models import CAN_CONFINE, ConfinedModels
 
     if not CAN_CONFINE:
-        typer.echo("note: this system cannot confine models: they run without limits", err=True)
+        echo("note: this system cannot confine models: they run without limits", err=True)
         return None
     return ConfinedModels(models, limits, has_gpu=provider != "cpu")
 
@@ -163,7 +163,7 @@ def _warnings_as_notes() -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         yield
     for warning in caught_warnings:
-        typer.echo(f"note: {warning.message}", err=True)
+        echo(f"note: {warning.message}", err=True)
 
 
 def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path, dict[str, int]]:

@@ -2,8 +2,6 @@
 
 __all__ = ["references"]
 
-import json
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +9,8 @@ import typer
 
 from gsgen.cli.commands.drawing.options import AsJson
 from gsgen.cli.options import Config, Memory, Timeout
+from gsgen.cli.output import echo, echo_json
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.fields.json_schema import to_json
 
@@ -125,9 +125,9 @@ def references(
     finally:
         clear()
     for label in result.empty:
-        typer.echo(f"note: the picture at {label!r} is empty", err=True)
+        echo(f"note: the picture at {label!r} is empty", err=True)
     note = "note: drawn by the model itself: a fault that it has now is part of the pictures"
-    typer.echo(f"{note}; --from FOLDER --cameras FILE takes those of the training code", err=True)
+    echo(f"{note}; --from FOLDER --cameras FILE takes those of the training code", err=True)
     _print(result, as_json=as_json)
 
 
@@ -150,12 +150,12 @@ def _print(result: "References", *, as_json: bool) -> None:
             "device": result.device,
             "reference_images": to_json(result.images),
         }
-        typer.echo(json.dumps(document, indent=2))
+        echo_json(document)
         return
     for image in result.images:
-        typer.echo(f"{result.model.parent / image.path}: {image.inputs}")
-    quoted_path = shlex.quote(str(result.model))
-    typer.echo(
+        echo(f"{result.model.parent / image.path}: {image.inputs}")
+    quoted_path = for_shell(str(result.model))
+    echo(
         f"{result.model}: declares them, drawn on {result.device}; "
         f"`gsgen validate {quoted_path} --level render` draws them again"
     )
@@ -163,14 +163,14 @@ def _print(result: "References", *, as_json: bool) -> None:
 
 def _print_source(pictures: "SourcePictures", *, as_json: bool) -> None:
     for name in pictures.unmatched:
-        typer.echo(f"note: no camera is named like {name}", err=True)
+        echo(f"note: no camera is named like {name}", err=True)
     if as_json:
         document = {
             "model": str(pictures.model),
             "reference_images": to_json(pictures.images),
             "decibels": list(pictures.decibels),
         }
-        typer.echo(json.dumps(document, indent=2))
+        echo_json(document)
         return
     for name, image, decibels in zip(
         pictures.names, pictures.images, pictures.decibels, strict=True
@@ -178,11 +178,9 @@ def _print_source(pictures: "SourcePictures", *, as_json: bool) -> None:
         shortfall_text = (
             "" if decibels >= image.psnr else f", less than the declared {image.psnr:g}"
         )
-        typer.echo(
-            f"{pictures.model.parent / image.path}: {name}, {decibels:.1f} dB{shortfall_text}"
-        )
-    quoted_path = shlex.quote(str(pictures.model))
-    typer.echo(
+        echo(f"{pictures.model.parent / image.path}: {name}, {decibels:.1f} dB{shortfall_text}")
+    quoted_path = for_shell(str(pictures.model))
+    echo(
         f"{pictures.model}: declares them as pictures of its source; "
         f"`gsgen validate {quoted_path} --level render` compares them again"
     )

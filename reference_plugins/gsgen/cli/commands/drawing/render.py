@@ -2,7 +2,6 @@
 
 __all__ = ["render"]
 
-import json
 import time as clock
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 
 from gsgen.cli.commands.drawing import options
 from gsgen.cli.commands.drawing.streaming_options import with_streaming_options
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
@@ -163,7 +163,7 @@ def render(
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
-            typer.echo(f"note: {note}", err=True)
+            echo(f"note: {note}", err=True)
         _write(sequence, output, bits=bit_count, as_json=as_json)
         _report_shortfalls(sources, allow_missing=allow_missing)
 
@@ -178,7 +178,7 @@ def _report_shortfalls(sources: "list[Source]", *, allow_missing: bool) -> None:
             raise InputUnreadable(
                 text, where=shortfall.name, hint="--allow-missing accepts such pictures."
             )
-        typer.echo(f"note: {shortfall.name}: {text}", err=True)
+        echo(f"note: {shortfall.name}: {text}", err=True)
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:
@@ -233,7 +233,7 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
     from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
 
     if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
-        typer.echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
+        echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
     start_time = clock.perf_counter()
     sequence.write(
         output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
@@ -242,21 +242,17 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
     seconds = clock.perf_counter() - start_time
     document = sequence.summary() | {"output": str(output), "seconds": round(seconds, 3)}
     if as_json:
-        typer.echo(json.dumps(document, indent=2))
+        echo_json(document)
         return
     count = f"{sequence.frames} frames of " if sequence.frames > 1 else ""
     triangles = f"{document['triangles']:,} triangles, " if document["triangles"] else ""
-    typer.echo(
+    echo(
         f"{output}: {count}{document['width']}×{document['height']}, "
         f"{document['visible']:,} of {document['gaussians']:,} Gaussians drawn, {triangles}"
         f"{seconds:.2f} s on {document['device']}"
     )
     if document["gaussians"] and not document["visible"]:
-        typer.echo(
-            "note: no Gaussian is visible: all are behind the camera or transparent", err=True
-        )
+        echo("note: no Gaussian is visible: all are behind the camera or transparent", err=True)
     elif not document["gaussians"] and not document["triangles"]:
         time_text = "with these inputs" if sequence.frames == 1 else "in the last frame"
-        typer.echo(
-            f"note: there are no Gaussians {time_text}: --time and --input set others", err=True
-        )
+        echo(f"note: there are no Gaussians {time_text}: --time and --input set others", err=True)

@@ -2,7 +2,6 @@
 
 __all__ = ["view"]
 
-import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +12,7 @@ import typer
 
 from gsgen.cli.commands.drawing import options
 from gsgen.cli.commands.drawing.streaming_options import with_streaming_options
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
@@ -151,7 +151,7 @@ def view(
             mode=options.mode_of(mode),
             background=color,
             folder=pictures,
-            print_line=typer.echo,
+            print_line=echo,
             on_event=_print_event if as_json else None,
             open_files=_file_opener(limits, play=play),
         )
@@ -159,12 +159,12 @@ def view(
 
 
 def _print_event(event: Mapping[str, Any]) -> None:
-    typer.echo(json.dumps(event, ensure_ascii=False))
+    echo_json(event, indent=None)
 
 
 def _print_notes(notes: Sequence[str]) -> None:
     for note in notes:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
 
 
 def _open_window(
@@ -230,8 +230,8 @@ def _serve_page(
         if as_json:
             _print_event({"event": "served", "address": server.address})
         else:
-            typer.echo(server.address)
-        typer.echo("the page is served until Ctrl-C", err=True)
+            echo(server.address)
+        echo("the page is served until Ctrl-C", err=True)
         webbrowser.open(server.address)
         server.serve_forever(poll_interval=0.1)
 

@@ -2,7 +2,6 @@
 
 __all__ = ["bench"]
 
-import json
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.model_options import AsJson, Sizes, exit_at_error, sizes_of
+from gsgen.cli.output import echo_json
+from gsgen.contract._safe_text import for_json, printable
 from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -65,11 +66,11 @@ def bench(
     providers = [str(name) for name in provider or installed_providers()]
     jobs = [(model, provider_name) for model in models for provider_name in providers]
     results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)
-    text = json.dumps(_document(results), indent=2, ensure_ascii=False)
+    document = _document(results)
     if output is not None:
-        write_text(output, text + "\n")
+        write_text(output, for_json(document) + "\n")
     if as_json:
-        typer.echo(text)
+        echo_json(document)
     else:
         _show(results)
     failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
@@ -128,6 +129,7 @@ def _show(results: "list[BenchmarkResult]") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("model", min_width=8, overflow="fold")
@@ -135,13 +137,13 @@ def _show(results: "list[BenchmarkResult]") -> None:
     for name in ("p50 ms", "p95 ms", "first ms", "in", "out", "copies", "M/s"):
         table.add_column(name, justify="right", no_wrap=True)
     for result in results:
-        table.add_row(Path(result.model).name, result.provider, *_cells(result))
+        table.add_row(Text(printable(Path(result.model).name)), result.provider, *_cells(result))
     console = Console(highlight=False)
     console.print(table)
     for result in results:
         for note in _notes(result):
             line = f"{Path(result.model).name} on {result.provider}: {note}"
-            console.print(line, markup=False, soft_wrap=True)
+            console.print(printable(line), markup=False, soft_wrap=True)
 
 
 def _cells(result: "BenchmarkResult") -> list[str]:

@@ -14,6 +14,7 @@ from gsgen.cli.commands.exporting.export_options import with_common_options
 from gsgen.cli.commands.exporting.plugin_function import plugin_function
 from gsgen.cli.option_panels import arrange_options, escape_markup
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
+from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ExitCode, UnknownName
 from gsgen.contract.process.atomic_files import PAGE_SUFFIXES
 from gsgen.sdk.plugins.factory import is_target
@@ -70,7 +71,7 @@ def _unknown(word: str, plugins: list[str], typed_arguments: list[str]) -> Unkno
     elif codec_of_suffix(path):
         hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
-        hint = f"It is already exported: gsgen validate {word}"
+        hint = f"It is already exported: gsgen validate {for_shell(word)}"
     elif path.suffix == ".py" or _is_module(word):
         hint = f"Name the callable that returns the generator: {word}:NAME"
     elif _is_module(module) or (module and "Did you mean" not in error.hint):

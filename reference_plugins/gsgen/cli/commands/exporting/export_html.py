@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gsgen.cli.commands.drawing import options
+from gsgen.cli.output import echo
 
 
 def export_html(
@@ -62,4 +63,4 @@ def export_html(
         raise typer.Exit(ExitCode.UNREADABLE) from error
     with atomic_write(output) as draft:
         draft.write_text(page, "utf-8")
-    typer.echo(f"wrote {output}: {output.stat().st_size:,} bytes")
+    echo(f"wrote {output}: {output.stat().st_size:,} bytes")

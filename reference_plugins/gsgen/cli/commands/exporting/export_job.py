@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from gsgen.cli.output import echo
 from gsgen.cli.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 
@@ -44,11 +45,11 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         emit_report(replace(request, dtype=request.dtype or "float32"), source, outcome)
         if not request.as_json:
             _show_failure(error)
-        typer.echo(f"gsgen: {request.output} was not written", err=True)
+        echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
     clear()
     for note in result.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
     outcome = ExportOutcome(
         written=True, report=result.report, parity=result.parity, changes=result.changes
     )
@@ -133,7 +134,7 @@ def _show_failure(error: GsgenError) -> None:
     if isinstance(error, ExportRejected):
         show(render(error.report))
     else:
-        typer.echo(f"gsgen: {error}", err=True)
+        echo(f"gsgen: {error}", err=True)
 
 
 def _show(result: "Exported") -> None:
@@ -145,15 +146,13 @@ def _show(result: "Exported") -> None:
     if report.findings or any(not level.ran for level in report.levels):
         show(render(report))
     size = format_bytes(result.path.stat().st_size)
-    typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict_text(result)}")
+    echo(f"{result.path}: {result.contents}, {size}; {_verdict_text(result)}")
     if result.changes:
         rewrites = ", ".join(f"{change.rewrite} ({len(change.nodes)})" for change in result.changes)
-        typer.echo(f"rewritten: {rewrites}")
+        echo(f"rewritten: {rewrites}")
     if result.parity is not None:
         probes = "probe" if result.parity.probes == 1 else "probes"
-        typer.echo(
-            f"agrees with torch at {result.parity.probes} {probes}: {result.parity.describe()}"
-        )
+        echo(f"agrees with torch at {result.parity.probes} {probes}: {result.parity.describe()}")
 
 
 def _verdict_text(result: "Exported") -> str:

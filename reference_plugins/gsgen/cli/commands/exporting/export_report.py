@@ -2,17 +2,15 @@
 
 __all__ = ["ExportOutcome", "emit_report"]
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from gsgen.cli.commands.exporting.export_options import ExportRequest
-from gsgen.cli.output import write_text
+from gsgen.cli.output import echo_json, write_text
+from gsgen.contract._safe_text import for_json
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.reporters.json_report import to_dict
 
@@ -53,11 +51,10 @@ def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> 
         "parity": _parity(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
     }
-    text = json.dumps(document, indent=2, ensure_ascii=False)
     if request.report is not None:
-        write_text(request.report, text + "\n")
+        write_text(request.report, for_json(document) + "\n")
     if request.as_json:
-        typer.echo(text)
+        echo_json(document)
 
 
 def _error(error: GsgenError) -> dict[str, Any]:

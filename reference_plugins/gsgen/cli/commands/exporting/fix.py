@@ -13,10 +13,10 @@ from gsgen.cli.model_options import (
     ModelFile,
     Sizes,
     copy_of,
-    echo_json,
     exit_at_error,
     sizes_of,
 )
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def fix(
         echo_json(_document(result, output))
     else:
         for applied in result.repairs:
-            typer.echo(f"{applied.rule}: {applied.description}")
+            echo(f"{applied.rule}: {applied.description}")
         show(render(result.after))
     raise typer.Exit(ExitCode.SUCCESS if result.after.verdict == "conforms" else ExitCode.FAILURE)
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.model_options import AsJson, DryRun, copy_of, echo_json, exit_at_error, first_names
+from gsgen.cli.model_options import AsJson, DryRun, copy_of, exit_at_error, first_names
+from gsgen.cli.output import echo, echo_json
 from gsgen.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def float16(
         echo_json(_document(result))
         return
     for line in _report(result):
-        typer.echo(line)
+        echo(line)
 
 
 def _report(result: "Float16Result") -> "Iterator[str]":

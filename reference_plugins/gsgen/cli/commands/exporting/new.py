@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
+from gsgen.contract._safe_text import for_shell
+
 
 def new(
     name: Annotated[
@@ -22,7 +25,6 @@ def new(
 
     Exits 0 if it was created, 2 if the name is not valid or the folder exists.
     """
-    from gsgen.cli.model_options import echo_json
     from gsgen.sdk.plugins.plugin_template import write_plugin_package
 
     package = write_plugin_package(name, into)
@@ -31,5 +33,6 @@ def new(
         echo_json({"folder": str(package.folder), "files": files})
         return
     for file in package.files:
-        typer.echo(package.folder / file)
-    typer.echo(f"\nNext:\n  cd {package.folder}\n  pip install -e '.[test]'\n  pytest")
+        echo(package.folder / file)
+    folder = for_shell(str(package.folder))
+    echo("", "Next:", f"  cd {folder}", "  pip install -e '.[test]'", "  pytest")

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from gsgen.cli.model_options import AsJson, echo_json
+from gsgen.cli.model_options import AsJson
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
@@ -35,7 +36,8 @@ def plugins(
     if as_json:
         echo_json(entries)
         return
-    typer.echo("\n\n".join(_plugin_text(entry) for entry in entries))
+    for number, entry in enumerate(entries):
+        echo(*([""] if number else []), *_plugin_lines(entry))
 
 
 def _plugin_facts(extension: Extension) -> dict[str, Any]:
@@ -70,7 +72,7 @@ def _plugin_facts(extension: Extension) -> dict[str, Any]:
     }
 
 
-def _plugin_text(facts: dict[str, Any]) -> str:
+def _plugin_lines(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['name']}  ({facts['package'] or 'unknown package'})"]
     if not facts["usable"]:
         lines.append(f"  lacks {', '.join(facts['missing'])}: {facts['remedy']}")
@@ -79,4 +81,4 @@ def _plugin_text(facts: dict[str, Any]) -> str:
         lines.append(f"  Inputs of the model: {', '.join(facts['inputs']) or 'none'}.")
     if facts["publication"]:
         lines.append(f"  Published: {facts['publication']}.")
-    return "\n".join(lines)
+    return lines

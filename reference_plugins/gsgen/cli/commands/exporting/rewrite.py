@@ -13,11 +13,11 @@ from gsgen.cli.model_options import (
     DryRun,
     Sizes,
     copy_of,
-    echo_json,
     exit_at_error,
     first_names,
     sizes_of,
 )
+from gsgen.cli.output import echo, echo_json
 from gsgen.cli.progress import progress
 from gsgen.contract.errors import ConfigInvalid
 
@@ -90,13 +90,13 @@ def rewrite(
 def _show(result: "RewriteResult") -> None:
     """Print the report of a graph rewrite, and a warning for outputs that were not compared."""
     for line in _report(result):
-        typer.echo(line)
+        echo(line)
     if result.uncompared:
         names = ", ".join(result.uncompared)
         message = (
             f"no finite number at any of {result.probes} probes, so the rewrite is not verified"
         )
-        typer.echo(f"gsgen: {names}: {message}", err=True)
+        echo(f"gsgen: {names}: {message}", err=True)
 
 
 def _split(names: list[str] | None) -> list[str]:
@@ -125,9 +125,9 @@ def _list(target: str, *, as_json: bool) -> None:
     width = max(len(str(row["name"])) for row in rows)
     for row in rows:
         mark = " " if row["runs"] else "-"
-        typer.echo(f"{mark} {row['name']:<{width}}  {row['summary']} ({row['exactness']}).")
+        echo(f"{mark} {row['name']:<{width}}  {row['summary']} ({row['exactness']}).")
     if not all(row["runs"] for row in rows):
-        typer.echo(f"\n- marks passes that target {target} does not need.")
+        echo("", f"- marks passes that target {target} does not need.")
 
 
 def _report(result: "RewriteResult") -> "Iterator[str]":

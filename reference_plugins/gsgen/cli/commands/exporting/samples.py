@@ -2,11 +2,13 @@
 
 __all__ = ["samples"]
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from gsgen.cli.output import echo, echo_json
+from gsgen.contract._safe_text import for_shell
 
 
 def samples(
@@ -25,10 +27,9 @@ def samples(
 
     paths = write_samples(folder, force=force)
     if as_json:
-        typer.echo(json.dumps([str(path) for path in paths], indent=2))
+        echo_json([str(path) for path in paths])
         return
     for path in paths:
-        typer.echo(f"{path}: {SAMPLE_WRITERS[path.name][0]}")
-    enter_text = "" if folder == Path() else f"  cd {folder}\n"
-    next_commands = "  gsgen render scene.json -o garden.png\n  gsgen validate sunflower.onnx"
-    typer.echo(f"\nNext:\n{enter_text}{next_commands}")
+        echo(f"{path}: {SAMPLE_WRITERS[path.name][0]}")
+    echo("", "Next:", *([] if folder == Path() else [f"  cd {for_shell(str(folder))}"]))
+    echo("  gsgen render scene.json -o garden.png", "  gsgen validate sunflower.onnx")

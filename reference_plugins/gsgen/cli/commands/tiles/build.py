@@ -2,13 +2,13 @@
 
 __all__ = ["build"]
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid
 
 if TYPE_CHECKING:
@@ -132,13 +132,18 @@ def build(
             )
     except KeyboardInterrupt:
         message = f"stopped; the same command goes on where it was ({output})"
-        typer.echo(f"gsgen: {message}", err=True)
+        echo(f"gsgen: {message}", err=True)
         raise
-    typer.echo(_as_json(report) if as_json else _as_text(report))
+    if as_json:
+        from dataclasses import asdict
+
+        echo_json({"event": "done", **asdict(report)}, indent=None)
+    else:
+        echo(_as_text(report))
 
 
 def _print_line(line: str) -> None:
-    typer.echo(line)
+    echo(line)
     sys.stdout.flush()
 
 
@@ -163,12 +168,6 @@ def _transform(
             problem, hint="Give both --lon and --lat to place the scene on the globe."
         )
     return upright_transform()
-
-
-def _as_json(report: "BuildReport") -> str:
-    from dataclasses import asdict
-
-    return json.dumps({"event": "done", **asdict(report)})
 
 
 def _as_text(report: "BuildReport") -> str:

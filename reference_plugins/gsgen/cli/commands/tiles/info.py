@@ -2,11 +2,11 @@
 
 __all__ = ["info"]
 
-import json
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.spec.units import MEBIBYTE
 
 if TYPE_CHECKING:
@@ -33,13 +33,13 @@ def info(
 
     tileset_info = describe_tileset(tileset)
     if as_json:
-        typer.echo(json.dumps(asdict(tileset_info), indent=2))
+        echo_json(asdict(tileset_info))
     else:
-        typer.echo(_as_text(tileset, tileset_info))
+        echo(*_as_lines(tileset, tileset_info))
 
 
-def _as_text(name: str, tileset_info: "TilesetInfo") -> str:
-    """Return a summary of a tileset and a table of its levels, as text."""
+def _as_lines(name: str, tileset_info: "TilesetInfo") -> list[str]:
+    """Return a summary of a tileset and a table of its levels, as lines of text."""
     low, high = tileset_info.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
@@ -57,7 +57,7 @@ def _as_text(name: str, tileset_info: "TilesetInfo") -> str:
         )
     if tileset_info.neural:
         lines.append(f"{tileset_info.neural:,} tiles hold a generator")
-    return "\n".join(lines)
+    return lines
 
 
 def _place_text(tileset_info: "TilesetInfo") -> str:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo
 from gsgen.contract.errors import InputUnreadable
 
 
@@ -36,4 +37,4 @@ def pack(
     if output.is_file() and output.resolve().is_relative_to(folder.resolve()):
         refuse_itself(output, (path for path in folder.rglob("*") if path.suffix != ".3tz"))
     count = write_archive(folder, output)
-    typer.echo(f"{output}: {count:,} files, {output.stat().st_size / 1e6:,.1f} MB")
+    echo(f"{output}: {count:,} files, {output.stat().st_size / 1e6:,.1f} MB")

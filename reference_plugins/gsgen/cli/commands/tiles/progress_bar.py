@@ -6,6 +6,7 @@ import time
 from typing import Any, final
 
 from gsgen.cli.progress import display_of
+from gsgen.contract._safe_text import printable
 from gsgen.tiles.build.progress import Progress
 
 
@@ -52,4 +53,4 @@ class BarProgress(Progress):
 
     def note(self, message: str) -> None:
         """Print a message about a tileset build above the progress bar."""
-        self._console.print(f"note: {message}", markup=False, highlight=False)
+        self._console.print(f"note: {printable(message)}", markup=False, highlight=False)

@@ -2,7 +2,6 @@
 
 __all__ = ["score"]
 
-import json
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.process.atomic_files import atomic_write, refuse_itself
 from gsgen.contract.spec.units import MEBIBYTE
@@ -60,13 +60,13 @@ def score(
         Image.fromarray(draw_sheet(result)).save(draft, "png")
     if as_json:
         document = {"splats": result.splats, "levels": [asdict(entry) for entry in result.levels]}
-        typer.echo(json.dumps(document | {"picture": str(output)}, indent=2))
+        echo_json(document | {"picture": str(output)})
     else:
-        typer.echo(_as_text(result, output))
+        echo(*_as_lines(result, output))
 
 
-def _as_text(result: "TilesetScore", output: Path) -> str:
-    """Return the scores of a tileset's levels as a text table, finest level first."""
+def _as_lines(result: "TilesetScore", output: Path) -> list[str]:
+    """Return the scores of a tileset's levels as the lines of a table, finest level first."""
     names = list(result.levels[0].ssim)
     header_line = f"{'level':>5} {'tiles':>7} {'splats':>11} {'share':>7} {'MiB':>9}"
     lines = [f"{header_line}  SSIM " + " ".join(f"{name:>7}" for name in names)]
@@ -76,4 +76,4 @@ def _as_text(result: "TilesetScore", output: Path) -> str:
             f"{entry.level:>5} {entry.tiles:>7,} {entry.splats:>11,} "
             f"{entry.splats / result.splats:>7.1%} {entry.bytes / MEBIBYTE:>9.3f}       {values}"
         )
-    return "\n".join([*lines, f"pictures: {output}"])
+    return [*lines, f"pictures: {output}"]

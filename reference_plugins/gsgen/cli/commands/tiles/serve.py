@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 
 
@@ -79,14 +80,14 @@ def serve(
             hint="Choose another --port; 0 takes one that is free.",
         ) from error
     with server:
-        typer.echo(server.address)
+        echo(server.address)
         index = "tileset.json" if (folder / "tileset.json").is_file() else ""
-        typer.echo(f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True)
+        echo(f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True)
         server.serve_forever(poll_interval=0.1)
 
 
 def _print_answer(line: str) -> None:
-    typer.echo(line, err=True)
+    echo(line, err=True)
 
 
 def _print_nothing(line: str) -> None:

@@ -2,13 +2,13 @@
 
 __all__ = ["simulate"]
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid
 
 
@@ -120,8 +120,8 @@ def simulate(
     if plot is not None:
         write_plot(simulations, plot)
     if not as_json:
-        typer.echo(format_table(simulations))
+        echo(*format_table(simulations).split("\n"))
     elif len(simulations) == 1:
-        typer.echo(json.dumps(metrics_document(simulations[0])))
+        echo_json(metrics_document(simulations[0]), indent=None)
     else:
-        typer.echo(json.dumps([metrics_document(entry) for entry in simulations]))
+        echo_json([metrics_document(entry) for entry in simulations], indent=None)
