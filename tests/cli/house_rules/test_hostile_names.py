@@ -141,4 +141,4 @@ def test_card_is_one_document_of_yaml_and_adds_no_element(tmp_path: Path) -> Non
     outside = re.sub(r"(?ms)^```bash$.*^```$", "", body).replace("\\`", "")
     outside = re.sub(r"(`+)[^\n]*?(?<!`)\1(?!`)", "", outside)
     assert not re.search(r"(?<!\\)<img", outside)
-    assert re.findall("(?m)^`{3,}[^`]*$", body) == ["```bash", "```"]
+    assert re.findall("(?m)^`{3,}[^`\n]*$", body) == ["```bash", "```"]
