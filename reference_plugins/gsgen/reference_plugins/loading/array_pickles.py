@@ -25,7 +25,7 @@ _RECONSTRUCT_NAMES, _SCALAR_NAMES, _FROM_BUFFER_NAMES = (
 )
 _OLD_OBJECTS: Final = ("copy_reg._reconstructor", "copyreg._reconstructor")
 _DTYPE_PATTERN: Final = re.compile(r"b1|[iu][1248]|f[248]")
-_MAX_NUMBERS: Final = 1 << 26
+_MAX_NUMBERS: Final = 1 << 24
 """The most numbers in sparse matrices, their zeros included, and in selections; SMPL-X has 13 M."""
 
 _Array = Shaped[np.ndarray, "..."]

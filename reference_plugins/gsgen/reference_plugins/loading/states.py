@@ -157,10 +157,13 @@ def read_script_state(path: Path) -> dict[str, Tensor]:
     try:
         with unpacking("TorchScript"), zipfile.ZipFile(path) as file:
             archive = TorchArchive(file, path.stat().st_size)
-            return {
-                name: torch.from_numpy(archive.array(tensor, name))
-                for name, tensor in _tensors(archive.data(), "", set())
-            }
+            read: dict[TensorReference, Tensor] = {}
+            state: dict[str, Tensor] = {}
+            for name, tensor in _tensors(archive.data(), "", set()):
+                if tensor not in read:  # one tensor may have several names
+                    read[tensor] = torch.from_numpy(archive.array(tensor, name))
+                state[name] = read[tensor]
+            return state
     except FormatError as error:
         hint = "Expected a network saved by torch.jit.save, as the training code writes it."
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path), hint=hint) from error
@@ -177,6 +180,8 @@ def _tensors(value: Any, prefix: str, seen_ids: set[int]) -> Iterator[tuple[str,
             id(value) in seen_ids
         ):  # modules that share modules may have more names than can be listed
             raise ValueError("a module of the pickle is part of two others, expected a tree")
+        if not isinstance(value.state, dict):
+            raise ValueError(f"the module {value.name} of the pickle has no attributes")
         seen_ids.add(id(value))
         for name, child in value.state.items():
             yield from _tensors(child, f"{prefix}.{name}" if prefix else str(name), seen_ids)

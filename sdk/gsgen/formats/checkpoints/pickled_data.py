@@ -13,7 +13,7 @@ import io
 import operator
 import pickletools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, final
 
 _STORAGES = {
@@ -29,8 +29,10 @@ class OpaqueObject:
     """A Python class, function or object that a pickle names, which is left uninterpreted."""
 
     name: str
-    arguments: Any = None  # those of the call that would make the object; None for a bare name
-    state: Any = None  # what the object's attributes would be set from
+    # Those of the call that would make the object; None for a bare name. Not in the text, which
+    # would be endless where few objects share each other.
+    arguments: Any = field(default=None, repr=False)
+    state: Any = field(default=None, repr=False)  # what the object's attributes would be set from
 
 
 @final

@@ -16,6 +16,9 @@ from gsgen.formats.shared.npz_arrays import unpacking
 PICKLE_MEMBER: Final = "*/data.pkl"
 """The member of the archive that names the tensors; its folder has the name of the file."""
 
+_MAX_READS = 64
+"""How often the bytes of the file may be read, because tensors take turns in several storages."""
+
 _MAX_PICKLE = 16 << 20
 """The most bytes of names and settings; checkpoints of splats have a few thousand."""
 
@@ -26,6 +29,8 @@ class TorchArchive:
 
     def __init__(self, archive: zipfile.ZipFile, file_size: int) -> None:
         self._archive, self._file_size = archive, file_size
+        self._number_count = self._byte_count = 0  # of all tensors and storages that were read
+        self._storage_key, self._storage = "", b""  # the last one
         with unpacking("archive"):
             names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
             if len(names) != 1:
@@ -45,6 +50,7 @@ class TorchArchive:
 
         Raises:
             ArchiveDamaged: The numbers are missing, or fewer than the shape needs.
+            SizeExceeded: All tensors together have more numbers than the file has bytes.
             ValueInvalid: The tensor does not hold floats.
         """
         dtype = tensor.storage.dtype
@@ -53,15 +59,39 @@ class TorchArchive:
                 "the tensor holds no floats", where=name, expected="a tensor of floats"
             )
         with unpacking(name):
-            content = self._member(f"data/{tensor.storage.key}")
+            content = self._stored(tensor.storage.key)
             stored_type = "u2" if dtype == "bfloat16" else np.dtype(dtype).str[1:]
             numbers = np.frombuffer(content, f"{self._order}{stored_type}")
             strided_array = _strided_view(numbers, tensor, name)
+            self._count_numbers(strided_array.size, name)
             if dtype == "bfloat16":  # the upper half of a float32
                 return (strided_array.astype(np.uint32) << 16).view(np.float32)
             # A double beyond float32 becomes infinite, which the check of values refuses.
             with np.errstate(over="ignore", invalid="ignore"):
                 return strided_array.astype(np.float32, order="C")
+
+    def _count_numbers(self, numbers: int, name: str) -> None:
+        self._number_count += numbers
+        if self._number_count > self._file_size:
+            raise SizeExceeded(
+                f"the tensors have {self._number_count} numbers together",
+                where=name,
+                expected=f"{self._file_size} or fewer, the bytes of the file",
+            )
+
+    def _stored(self, key: str) -> bytes:
+        """Read the bytes of a storage, which the next tensor often shares."""
+        if key != self._storage_key:
+            content = self._member(f"data/{key}")
+            self._byte_count += len(content)
+            if self._byte_count > _MAX_READS * self._file_size:
+                raise SizeExceeded(
+                    f"the tensors take turns in storages, of which {self._byte_count} bytes were read",
+                    where=f"data/{key}",
+                    expected=f"{_MAX_READS} times the file or fewer",
+                )
+            self._storage_key, self._storage = key, content
+        return self._storage
 
     def _member(self, name: str, limit: int | None = None) -> bytes:
         """Read a file of the zip archive, after a check of its declared size."""
