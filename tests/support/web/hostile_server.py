@@ -21,17 +21,26 @@ Answer = Callable[[socket.socket, "HostileServer"], None]
 
 @dataclass
 class HostileServer:
-    """The server of one answer, and a second one that no client should ever ask."""
+    """The server of one answer, and a second one that no client should ever ask.
 
+    Attributes:
+        files: Path → a file that is served well.
+        strangers: How often the second server was asked.
+    """
+
+    files: dict[str, bytes] = field(default_factory=dict)
     port: int = 0
     elsewhere: int = 0
     requests: int = 0
     strangers: int = 0
     stop: threading.Event = field(default_factory=threading.Event)
 
+    def address_of(self, name: str) -> str:
+        return f"http://127.0.0.1:{self.port}/a/{name}"
+
     @property
     def address(self) -> str:
-        return f"http://127.0.0.1:{self.port}/a/tileset.json"
+        return self.address_of("tileset.json")
 
 
 def whole(body: bytes, *headers: bytes) -> bytes:
@@ -193,9 +202,11 @@ ANSWERS: dict[str, Answer] = {
 
 
 @contextmanager
-def hostile_server(answer: Answer) -> Iterator[HostileServer]:
-    """Serve one hostile answer to every request until the block ends."""
-    server = HostileServer()
+def hostile_server(
+    answer: Answer, files: dict[str, bytes] | None = None
+) -> Iterator[HostileServer]:
+    """Serve one hostile answer to every request but those of some files, until the block ends."""
+    server = HostileServer(files or {})
     threads: list[threading.Thread] = []
     listeners = [socket.create_server(("127.0.0.1", 0), backlog=64) for _ in range(2)]
     server.port, server.elsewhere = (listener.getsockname()[1] for listener in listeners)
@@ -204,9 +215,13 @@ def hostile_server(answer: Answer) -> Iterator[HostileServer]:
         with connection, suppress(OSError):
             connection.settimeout(LONGEST)
             while not server.stop.is_set():
-                if not _read_request(connection):
+                path = _read_request(connection)
+                if not path:
                     return
                 server.requests += 1
+                if path in server.files:
+                    connection.sendall(whole(server.files[path]))
+                    continue
                 answer(connection, server)
                 if answer in (ANSWERS["always-503"], ANSWERS["redirect-loop"]):
                     continue  # kept alive
@@ -241,12 +256,12 @@ def hostile_server(answer: Answer) -> Iterator[HostileServer]:
             thread.join(LONGEST)
 
 
-def _read_request(connection: socket.socket) -> bool:
-    """Read a request's headers; return False at the end of the connection."""
+def _read_request(connection: socket.socket) -> str:
+    """Read a request, and return its path; empty at the end of the connection."""
     data = b""
     while b"\r\n\r\n" not in data:
         piece = connection.recv(4096)
         if not piece:
-            return False
+            return ""
         data += piece
-    return True
+    return data.split()[1].decode()

@@ -20,8 +20,10 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.streaming.fetch import FetchLink, OnBytes
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from support.commands import gsgen_here
+from support.tiles import foreign_tiles as foreign
 from support.tiles.builds import build
 from support.tiles.tile_scenes import scattered
+from support.web.hostile_server import ANSWERS, hostile_server
 
 pytestmark = pytest.mark.slow
 
@@ -215,3 +217,63 @@ def test_fault_of_gsgen_on_a_thread_is_raised_and_frees_its_slot() -> None:
     assert link.free == 2
     with pytest.raises(ZeroDivisionError):
         link.poll()
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_hostile_tile_is_one_line_and_leaves_the_other_drawn(name: str) -> None:
+    """A tileset of two tiles, of which one is answered well."""
+    metadata = {"class": "tile", "properties": {"bytes": [1000]}}
+    tile = {"boundingVolume": foreign.box(100), "geometricError": 0, "metadata": metadata}
+    child = {**tile, "content": {"uri": "bad.glb"}}
+    root = {
+        **tile,
+        "refine": "ADD",
+        "geometricError": 50,
+        "content": {"uri": "good.glb"},
+        "children": [child],
+    }
+    files = {
+        "/a/tileset.json": foreign.tileset(root),
+        "/a/good.glb": foreign.gltf(foreign.cloud(0)),
+    }
+    view = Frustum.from_camera(
+        Camera.look_at((0, 0, 400), (0, 0, 0), up=(0, 1, 0), width=640, height=480)
+    )
+    lines: list[str] = []
+    with hostile_server(ANSWERS[name], files) as server:
+        options = SessionOptions(max_error=0.01, cache_bytes=0, fade_seconds=0)
+        with closing(open_session(server.address, options, report=lines.append)) as session:
+            end = time.monotonic() + 8
+            frame = session.frame(view)
+            while not frame.is_complete and time.monotonic() < end:
+                session.wait(0.05)
+                frame = session.frame(view)
+            assert frame.is_complete
+            assert [entry.tile for entry in frame.drawn] == [0]
+            assert frame.absent == (1,)
+            assert session._link.free == options.connections
+        assert server.strangers == 0
+    assert len(lines) == 1
+    assert server.address_of("bad.glb") in lines[0]
+    assert lines[0].isprintable()
+
+
+@pytest.mark.parametrize("name", ["length-huge", "no-answer", "dripping-error-body"])
+def test_size_that_a_server_does_not_tell_is_no_fault_of_the_tileset(name: str) -> None:
+    tile = {"boundingVolume": foreign.box(100), "geometricError": 0, "refine": "ADD"}
+    root = {**tile, "content": {"uri": "bad.glb"}, "children": [{**tile}]}
+    files = {"/a/tileset.json": foreign.tileset(root)}
+    view = Frustum.from_camera(
+        Camera.look_at((0, 0, 400), (0, 0, 0), up=(0, 1, 0), width=64, height=48)
+    )
+    with (
+        hostile_server(ANSWERS[name], files) as server,
+        closing(open_session(server.address, SessionOptions(cache_bytes=0))) as session,
+    ):
+        end = time.monotonic() + 5
+        frame = session.frame(view)
+        while not frame.is_complete and time.monotonic() < end:
+            session.wait(0.05)
+            frame = session.frame(view)
+        assert frame.absent == (0,)
+        assert server.address_of("bad.glb") in session.first_failure

@@ -10,6 +10,7 @@ from collections.abc import Collection
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import TCPServer
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
@@ -61,6 +62,12 @@ class LocalServer(ThreadingHTTPServer):
         self._waiting: dict[socket.socket, None] = {}  # for a request; the longest first
         self._answering: set[socket.socket] = set()
         super().__init__((host, port), handler)
+
+    def server_bind(self) -> None:
+        """Bind the socket, without asking name servers for this machine's name."""
+        TCPServer.server_bind(self)
+        host, port = self.server_address[:2]
+        self.server_name, self.server_port = str(host), port
 
     @property
     def address(self) -> str:

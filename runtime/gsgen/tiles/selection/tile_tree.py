@@ -8,8 +8,10 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.tiles.errors import StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
+from gsgen.tiles.gltf.container import MAX_CONTENT
 from gsgen.tiles.loading.limits import LoadingTime
 from gsgen.tiles.stores.store import Store
 
@@ -60,11 +62,11 @@ class TileTree:
 
         Args:
             tileset: The tree.
-            store: Asked for the sizes that the metadata do not tell; without it, those are 0.
+            store: Asked for the sizes that the metadata do not tell; those that it does not tell
+                either are 0.
 
         Raises:
-            StoreUnavailable: The store does not tell a size.
-            ContentMissing: A content is missing.
+            StoreUnavailable: The sizes take too long.
         """
         tiles: list[Tile] = []
         parents: list[int] = []
@@ -121,10 +123,18 @@ _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do n
 def _measure_tiles(
     tiles: list[Tile], tileset: Tileset, store: Store | None
 ) -> list[tuple[int, int]]:
-    """Return the bytes and splats of tiles, for which a server may have to be asked."""
+    """Return the bytes and splats of tiles, for which a server may have to be asked.
+
+    A content whose size the server does not tell fails when it is fetched, if it is fetched.
+    """
     time, measures = LoadingTime(tileset.name), []
     for tile in tiles:
-        measures.append(measure_tile(tile, tileset, store))
+        try:
+            measures.append(measure_tile(tile, tileset, store))
+        except TilesetInvalid as error:
+            measures.append(measure_tile(tile, tileset, None))
+            if isinstance(error, StoreUnavailable):
+                store = None  # or each of many tiles would wait for a server that does not answer
         time.require(f"the sizes of {len(measures):,} of {len(tiles):,} tiles")
     return measures
 
@@ -139,7 +149,10 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
     if sizes and is_listed and len(tile.contents) == 1:
         size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
     elif store is not None:
-        size = sum(store.size(content.uri) for content in tile.contents)
+        sizes = [store.size(content.uri) for content in tile.contents]
+        size = (
+            sum(sizes) if max(sizes) <= MAX_CONTENT else 0
+        )  # reading it says that it is too large
     if _is_counted(tile):
         return size, int(tile.metadata["splats"])
     return size, size // _BYTES_PER_SPLAT
