@@ -155,3 +155,58 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
 def test_fixing_no_model_exits_4(tmp_path: Path) -> None:
     (tmp_path / "m.onnx").write_bytes(b"no")
     assert gsgen_here("fix", tmp_path / "m.onnx", "-o", tmp_path / "f.onnx").code == 4
+
+
+@pytest.mark.parametrize("name", ["drift", "still_sh3", "still_half_sh3", "padded", "avatar"])
+@pytest.mark.parametrize("version", [14, 15, 99])
+def test_an_ir_version_of_tomorrow_is_lowered(tmp_path: Path, name: str, version: int) -> None:
+    path = find(name).write(tmp_path)
+    proto = onnx.load(path)
+    outputs = {name: value.tobytes() for name, value in run_first_probe(path).items()}
+    proto.ir_version = version
+    path.write_bytes(proto.SerializeToString())
+    hints = [finding.hint for finding in validate(path).findings if finding.rule == "GG001"]
+    assert "Set model.ir_version = 10: nothing else in the file needs IR" in hints[0]
+    done = repair(path, tmp_path / "fixed.onnx")
+    assert [step.description for step in done.repairs] == [
+        f"IR version {version} is declared as 10"
+    ]
+    assert done.after.verdict == "conforms"
+    assert onnx.load(tmp_path / "fixed.onnx").ir_version == 10
+    fixed = run_first_probe(tmp_path / "fixed.onnx")
+    assert {name: value.tobytes() for name, value in fixed.items()} == outputs
+
+
+def run_first_probe(path: Path) -> dict[str, np.ndarray]:
+    """The outputs of a model where all inputs are zero."""
+    session = onnxruntime.InferenceSession(path)
+    dtypes = {"tensor(float)": np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
+    zeros = {
+        entry.name: np.zeros(entry.shape, dtypes[entry.type]) for entry in session.get_inputs()
+    }
+    return run_model(path, **zeros)
+
+
+def test_an_operator_set_of_tomorrow_is_lowered_where_no_operator_changed(tmp_path: Path) -> None:
+    path = find("drift").write(tmp_path)
+    proto = onnx.load(path)
+    highest = load_target("core").opset[1]
+    if onnx.defs.onnx_opset_version() <= highest:
+        pytest.skip("the installed ONNX has no operator set above ONNX Runtime's")
+    proto.opset_import[0].version, proto.ir_version = onnx.defs.onnx_opset_version(), 14
+    path.write_bytes(proto.SerializeToString())
+    done = repair(path, tmp_path / "fixed.onnx")
+    assert [step.rule for step in done.repairs] == ["GG001", "GG001"]
+    assert done.after.verdict == "conforms"
+    assert onnx.load(tmp_path / "fixed.onnx").opset_import[0].version == highest
+
+
+def test_versions_of_a_model_without_manifest_are_lowered(tmp_path: Path) -> None:
+    path = find("drift").write(tmp_path)
+    proto = onnx.load(path)
+    del proto.metadata_props[:]
+    proto.ir_version = 14
+    path.write_bytes(proto.SerializeToString())
+    repair(path, tmp_path / "fixed.onnx")
+    assert onnx.load(tmp_path / "fixed.onnx").ir_version == 10
+    assert not onnx.load(tmp_path / "fixed.onnx").metadata_props

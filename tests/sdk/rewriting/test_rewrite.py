@@ -406,3 +406,85 @@ def test_mistaken_command_is_explained(
     assert message in text
     assert completed.exit_code == code or isinstance(completed.exception, ConfigInvalid)
     assert not (tmp_path / "out.onnx").exists()
+
+
+SEQUENCE_MODELS = {
+    "split and take": "parts = SplitToSequence <axis = 0> (x) y = SequenceAt (parts, one)",
+    "insert and join": (
+        "empty = SequenceEmpty () parts = SequenceInsert (empty, x) "
+        "both = SequenceInsert (parts, x) y = ConcatFromSequence <axis = 0> (both)"
+    ),
+    "construct": "parts = SequenceConstruct (x, x) y = ConcatFromSequence <axis = 1> (parts)",
+    "erase": (
+        "parts = SequenceConstruct (x, x) rest = SequenceErase (parts, one) "
+        "y = ConcatFromSequence <axis = 0> (rest)"
+    ),
+    "length": "parts = SequenceConstruct (x, x) y = SequenceLength (parts)",
+    "optional": "some = Optional (x) y = OptionalGetElement (some)",
+    "optional sequence": (
+        "parts = SequenceConstruct (x, x) some = Optional (parts) back = OptionalGetElement (some) "
+        "y = SequenceAt (back, one)"
+    ),
+    "identity": (
+        "parts = SequenceConstruct (x, x) same = Identity (parts) y = SequenceAt (same, one)"
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SEQUENCE_MODELS)
+def test_types_of_sequences_and_optionals_survive(name: str, tmp_path: Path) -> None:
+    """With nothing to rewrite the file keeps its bytes; with a pass that applies, it still loads."""
+    kind = "int64" if name == "length" else "float"
+    shape = "" if name == "length" else "n, 3"
+    for tail in ("", " z = Reshape (x, flat)"):
+        outputs = f"{kind}[{shape}] y" + (", float[12] z" if tail else "")
+        text = (
+            '<ir_version: 10, opset_import: ["" : 18]> graph (float[4, 3] x) => '
+            f"({outputs}) <int64 one = {{1}}, int64[1] flat = {{12}}> {{ {SEQUENCE_MODELS[name]}{tail} }}"
+        )
+        source, target = tmp_path / "source.onnx", tmp_path / "target.onnx"
+        onnx.save(onnx.parser.parse_model(text), source)
+        target.unlink(missing_ok=True)
+        result = rewrite_file(source, target, load_target("webgpu"))
+        before, after = (onnxruntime.InferenceSession(path) for path in (source, target))
+        feed = {"x": np.arange(12, dtype=np.float32).reshape(4, 3)}
+        for old, new in zip(before.run(None, feed), after.run(None, feed), strict=True):
+            np.testing.assert_array_equal(old, new)
+        is_kept = not tail and name not in ("identity", "length")  # passes apply to these two
+        assert is_kept == (not result.changes)
+        assert is_kept == (source.read_bytes() == target.read_bytes())
+
+
+def test_a_model_with_nothing_to_rewrite_keeps_its_bytes(tmp_path: Path) -> None:
+    source, target = tmp_path / "source.onnx", tmp_path / "target.onnx"
+    text = (
+        '<ir_version: 10, opset_import: ["" : 18]> graph (float[4, 3] x) => (float[n, 3] y) '
+        f"<int64 one = {{1}}> {{ {SEQUENCE_MODELS['split and take']} }}"
+    )
+    onnx.save(onnx.parser.parse_model(text), source)
+    assert rewrite_file(source, target, load_target("core")).changes == ()
+    assert source.read_bytes() == target.read_bytes()
+
+
+def test_a_model_with_weights_beside_it_is_copied_whole(tmp_path: Path) -> None:
+    """In its own folder the copy reads the same weights; elsewhere it has a file of its own."""
+    source, elsewhere = tmp_path / "source.onnx", tmp_path / "other" / "target.onnx"
+    weights = onnx.numpy_helper.from_array(np.arange(1200, dtype=np.float32), "w")
+    model = onnx.parser.parse_model(
+        '<ir_version: 10, opset_import: ["" : 18]> graph (float[1200] x) => (float[1200] y) '
+        "{ y = Mul (x, w) }"
+    )
+    model.graph.initializer.append(weights)
+    onnx.save(model, source, save_as_external_data=True, location="w.bin", size_threshold=0)
+    elsewhere.parent.mkdir()
+    for target in (tmp_path / "copy.onnx", elsewhere):
+        assert rewrite_file(source, target, load_target("core")).changes == ()
+        before, after = (onnxruntime.InferenceSession(path) for path in (source, target))
+        feed = {"x": np.arange(1200, dtype=np.float32)}
+        np.testing.assert_array_equal(before.run(None, feed)[0], after.run(None, feed)[0])
+    assert (tmp_path / "copy.onnx").read_bytes() == source.read_bytes()
+    assert sorted(path.name for path in elsewhere.parent.iterdir()) == [
+        "target.onnx",
+        "target.onnx.data",
+    ]

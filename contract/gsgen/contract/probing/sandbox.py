@@ -21,6 +21,7 @@ import numpy as np
 
 from gsgen.contract.errors import HostFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files, require_loadable
+from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.child_status import death_of, memory_refused
@@ -37,11 +38,12 @@ FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The reason why a model in the sandbox did not run to the end."""
+    """The reason why a model in the sandbox did not run to the end, and how to repair it."""
 
     stage: FaultStage
     message: str
     probe: int | None = None
+    hint: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -358,7 +360,8 @@ def _read_fault(
     if status is None and last["event"] != "fault":
         return Fault("time", f"still running after {limits.seconds:g} s", probe)
     if last["event"] == "fault":
-        fault = Fault(last["stage"], last["message"], last.get("probe"))
+        failure = explain_load_failure(last["message"])
+        fault = Fault(last["stage"], failure.cause, last.get("probe"), failure.hint)
     else:
         log = log_path.read_text("utf-8", errors="replace")
         death = death_of(status or 0, log, limits)

@@ -38,6 +38,7 @@ from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
 
 # Errors of storing files; NumPy gives none where a part was written.
 _STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, None)
+_MAX_MESSAGE_LENGTH = 2000  # some of ONNX Runtime's messages have their cause at the end
 # Extra probes start only within this share of the time, so that they never use it up.
 EXTRA_PROBE_TIME_SHARE = 0.5
 _SUBSAMPLE_ROWS = 1 << 14
@@ -299,7 +300,7 @@ def fault_stage(error: Exception, probe: int | None) -> str:
 def error_line(error: Exception) -> str:
     """Return an error's message without line breaks, truncated if it is long."""
     text = " ".join(str(error).split())
-    return text[:500] or type(error).__name__
+    return text[:_MAX_MESSAGE_LENGTH] or type(error).__name__
 
 
 if __name__ == "__main__":

@@ -81,6 +81,7 @@ class Violation:
             invalid.
         certainty: ``confirmed``, or ``possible`` for a conclusion drawn from the numbers.
         statistic: The number that the rule compared, for plots.
+        hint: How to repair the model, where the rule's own hint is too general.
     """
 
     where: Location
@@ -93,6 +94,7 @@ class Violation:
     min_fraction: float = 0.0
     certainty: Certainty = "confirmed"
     statistic: Statistic | None = None
+    hint: str = ""
 
     @classmethod
     def at(
@@ -103,6 +105,7 @@ class Violation:
         *,
         certainty: Certainty = "confirmed",
         statistic: Statistic | None = None,
+        hint: str = "",
     ) -> "Violation":
         """Return a rule violation at one tensor, node or manifest field."""
         return cls(
@@ -111,6 +114,7 @@ class Violation:
             actual=actual,
             certainty=certainty,
             statistic=statistic,
+            hint=hint,
         )
 
     @classmethod

@@ -38,6 +38,7 @@ class FindingCounter:
         by_rows: Rows are counted, not single values.
         truncated: The counter also holds violations at further locations.
         statistic: The number that the rule compared first.
+        hint: The first hint of a violation; empty for that of the rule.
         samples: Values of checked rows, and which of them break the rule.
     """
 
@@ -54,6 +55,7 @@ class FindingCounter:
     by_rows: bool = False
     truncated: bool = False
     statistic: Statistic | None = None
+    hint: str = ""
     samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
@@ -61,6 +63,7 @@ class FindingCounter:
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         self.statistic = self.statistic or violation.statistic
+        self.hint = self.hint or violation.hint
         if violation.invalid_rows is None:
             self.count += 1
             if len(self.examples) < _MAX_EXAMPLES:

@@ -196,7 +196,7 @@ class ResultCollector:
             severity=severity,
             where=counter.where,
             message=counter.message(),
-            hint=rule.hint,
+            hint=counter.hint or rule.hint,
             count=counter.count,
             total=counter.total,
             examples=tuple(counter.examples),

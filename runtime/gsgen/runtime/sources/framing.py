@@ -27,10 +27,10 @@ _SPREAD: Final = (
 )  # percent of the centres between which the object's spread is measured
 _FINEST: Final = 1 / 16  # least side of a cube, as a share of the spread
 _SPACINGS: Final = 2.0  # side of a cube in mean distances of evenly spread Gaussians
-_MIN_SHARE: Final = 0.02  # of all Gaussians, in a group that is no floater
+_MIN_SHARE: Final = 0.02  # of all Gaussians, in a group that is part of the object
 _LINK_SIGMAS: Final = 2.0  # a Gaussian occupies the cubes within this many standard deviations
 _LINK_STEPS: Final = 8  # most cubes to each side that one Gaussian occupies along an axis
-_GRID_SIZE: Final = 1 << 19  # cubes along an axis; what lies beyond is a floater
+_GRID_SIZE: Final = 1 << 19  # cubes along an axis; Gaussians farther away are floaters
 _VISIBLE_ALPHA: Final = 1 / 255
 _SAMPLE: Final = 1 << 17  # most Gaussians that are grouped
 _NEIGHBOURS: Final = np.array(
@@ -42,7 +42,7 @@ _NEIGHBOURS: Final = np.array(
 def box_around(data: SplatData) -> Box | None:
     """Return the box that holds all visible Gaussians but floaters, to their visible edges.
 
-    None without Gaussians. Where none has an opacity above 0, all count.
+    None without Gaussians. Invisible Gaussians count if all are invisible.
     """
     rows = data.rows[: data.count]
     finite = np.isfinite(rows[:, layout.POSITION]).all(axis=1)
@@ -84,7 +84,7 @@ def _floaters(
     side = spread * max(_FINEST, _SPACINGS * len(none[::step]) ** (-1 / 3))
     if not 0 < side < np.inf:
         return none
-    # 1. The cube of each centre; what is far away or larger than the object has none.
+    # 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.
     cubes = np.floor((centers - low) / side)
     has_cube = (np.abs(cubes) < _GRID_SIZE).all(axis=1) & (sigmas <= spread).all(axis=1)
     if not has_cube.any():

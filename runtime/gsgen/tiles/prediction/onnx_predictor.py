@@ -13,6 +13,7 @@ from jaxtyping import Float32, Float64
 from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import InputUnreadable
 from gsgen.contract.model.files_beside import require_loadable
+from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.sandbox_worker import model_source
 from gsgen.contract.spec.fields.roles import STATE_SIZES
@@ -86,8 +87,9 @@ class TrajectoryModel:
                 source, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # ONNX Runtime raises types of its own, without a base
+            failure = explain_load_failure(str(error))
             raise InputUnreadable(
-                f"cannot be loaded: {str(error).splitlines()[0]}", where=str(path)
+                f"cannot be loaded: {failure.cause}", where=str(path), hint=failure.hint
             ) from error
         return cls(path, manifest, session)
 

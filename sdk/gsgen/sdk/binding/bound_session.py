@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.sdk.binding.buffers import Buffer, HostMemory, make_buffer
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SizeUnknown
-from gsgen.sdk.binding.providers.node_placement import error_text
 
 # A run with this graph number is neither captured nor replayed.
 _NO_GRAPH = ("gpu_graph_id", "-1")
@@ -225,8 +225,9 @@ def translate_error(error: Exception) -> GsgenError:
     mismatch = _SIZE_MISMATCH.search(str(error))
     if mismatch is not None:
         return _shape_changed(*mismatch.groups())
-    hint = "`gsgen validate --level live` reports the rule that the model violates."
-    return RunFailed(error_text(error), where="ONNX Runtime", hint=hint)
+    failure = explain_load_failure(str(error))
+    hint = failure.hint or "`gsgen validate --level live` reports the rule that the model violates."
+    return RunFailed(failure.cause, where="ONNX Runtime", hint=hint)
 
 
 def _shape_changed(output: str, bound: str, computed: str) -> RunFailed:

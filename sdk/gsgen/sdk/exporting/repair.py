@@ -5,6 +5,7 @@ __all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import onnx_ir as ir
@@ -14,10 +15,12 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
+from gsgen.contract.model.versions import declared_opset, lowest_ir_version, operators_changed_since
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
@@ -84,8 +87,13 @@ def repair(
     if target is not None:
         refuse_overwriting(subject.file, target)
     violated_rules = {finding.rule for finding in before.findings}
-    manifest = request.manifest or _embedded_manifest(subject)
-    repair_steps, manifest = _repair_steps(subject, manifest, violated_rules, request)
+    repair_steps = _version_steps(subject) if "GG001" in violated_rules else []
+    manifest = request.manifest
+    if manifest is None and (subject.parsed is not None or not repair_steps):
+        manifest = _embedded_manifest(subject)
+    if manifest is not None:
+        steps, manifest = _repair_steps(subject, manifest, violated_rules, request)
+        repair_steps += steps
     if request.manifest is not None:
         repair_steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not repair_steps:
@@ -98,10 +106,11 @@ def repair(
     for _, change in repair_steps:
         change(model)
     NameFixPass()(model)
-    model.metadata_props.pop(NEUTRAL_KEY, None)
-    if manifest.operator_profile is not None:
-        manifest = with_profile(manifest, model)
-    model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
+    if manifest is not None:
+        model.metadata_props.pop(NEUTRAL_KEY, None)
+        if manifest.operator_profile is not None:
+            manifest = with_profile(manifest, model)
+        model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft_copy(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)
         after = validate(draft, settings)
@@ -148,6 +157,34 @@ def _embedded_manifest(subject: InspectedModel) -> GeneratorManifest:
             "the model is not a Gaussian Generator", where=str(subject.file.path), hint=hint
         )
     return subject.manifest
+
+
+def _version_steps(subject: InspectedModel) -> RepairSteps:
+    """Return the repairs that lower the declared versions, where the model means the same."""
+    proto, target = subject.file.proto, subject.target
+    steps: RepairSteps = []
+    opset, highest_opset = declared_opset(proto), target.opset[1]
+    if opset is not None and opset > highest_opset:
+        if operators_changed_since(proto, highest_opset):
+            return []
+        repair = Repair(f"operator set {opset} is declared as {highest_opset}", "GG001")
+        steps.append((repair, partial(_declare_opset, opset=highest_opset)))
+    needed = lowest_ir_version(proto, target.ir)
+    if proto.ir_version > target.ir and (needed <= target.ir or steps):
+        version = min(needed, target.ir)
+        repair = Repair(f"IR version {proto.ir_version} is declared as {version}", "GG001")
+        steps.append((repair, partial(_declare_ir_version, version=version)))
+    return steps
+
+
+def _declare_opset(model: ir.Model, opset: int) -> None:
+    imports = [model.opset_imports, *(entry.opset_imports for entry in model.functions.values())]
+    for versions in imports:
+        versions.update({domain: opset for domain in MAIN_DOMAIN if domain in versions})
+
+
+def _declare_ir_version(model: ir.Model, version: int) -> None:
+    model.ir_version = version
 
 
 def _repair_steps(

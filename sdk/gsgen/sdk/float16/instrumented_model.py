@@ -10,8 +10,10 @@ import numpy as np
 import onnx_ir as ir
 from jaxtyping import Bool
 
+from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
+from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.to_float16 import (
     FLOAT,
     FLOAT16,
@@ -179,7 +181,12 @@ def _session(model: ir.Model, *, rounds: bool) -> Any:
     with temporary_folder() as folder:
         file = folder / "measured.onnx"
         save_model(model, file)
-        return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+        try:
+            return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # ONNX Runtime's errors share no base class of their own
+            failure = explain_load_failure(str(error))
+            message = f"ONNX Runtime does not load the model: {failure.cause}"
+            raise RewriteFailed(message, where="float16", hint=failure.hint) from error
 
 
 def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:

@@ -81,13 +81,13 @@ class ToFloat16(CautiousRewrite):
             for node in selected
             for index in convertible_indices(node, opset)[1]
         }
-        ends = {value for value in graph.outputs if self.outputs and value.dtype == FLOAT}
+        ends = {value for value in graph.outputs if self.outputs and _is_float32(value)}
         for node in selected:
             self.note(node)
             if is_op(node, "Cast") and node.outputs[0] in native:
                 node.attributes["to"] = ir.AttrInt64("to", FLOAT16.value)
         for value in list(_values(graph)):
-            if value.dtype != FLOAT:
+            if not _is_float32(value):
                 continue
             if value in native:
                 value.type = ir.TensorType(FLOAT16)
@@ -121,7 +121,7 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
     float16, none of them does.
     """
     schema = _schema(node, opset)
-    if schema is None or is_op(node, *_SHAPE_OPERATORS):
+    if schema is None or is_op(node, *_SHAPE_OPERATORS) or _has_containers(node):
         return [], []
     typed_inputs = _floats(node.inputs, schema.inputs)
     typed_outputs = _floats(node.outputs, schema.outputs)
@@ -145,6 +145,18 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
     )
 
 
+def _is_float32(value: ir.Value) -> bool:
+    """Return whether a value is a tensor in float32, not a sequence or an optional of them."""
+    is_container = isinstance(value.type, ir.SequenceType | ir.OptionalType)
+    return value.dtype == FLOAT and not is_container
+
+
+def _has_containers(node: ir.Node) -> bool:
+    """Return whether an input or output is a sequence or an optional: no Cast converts it."""
+    values = (value for value in (*node.inputs, *node.outputs) if value is not None)
+    return any(isinstance(value.type, ir.SequenceType | ir.OptionalType) for value in values)
+
+
 def _schema(node: ir.Node, opset: int) -> onnx.defs.OpSchema | None:
     bodies = any(
         a.type in (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
@@ -166,7 +178,7 @@ def _floats(
     return [
         (index, listed[min(index, len(listed) - 1)])
         for index, value in enumerate(values)
-        if value is not None and value.dtype == FLOAT
+        if value is not None and _is_float32(value)
     ]
 
 
@@ -306,7 +318,7 @@ class Boundary:
         )
 
     def _needs_float16(self, value: ir.Value, keep: Collection[str]) -> bool:
-        if value.dtype != FLOAT or value in self._constants:
+        if not _is_float32(value) or value in self._constants:
             return False
         if value.is_initializer() and not value.is_graph_input():
             return False

@@ -187,7 +187,7 @@ def _require_success(run: Execution, probes: Sequence[Probe], where: str, versio
     probe = "" if fault.probe is None else f" at probe {probes[fault.probe].label!r}"
     message = f"the model {version} does not run in ONNX Runtime{probe}: {fault.message}"
     hint = "Outputs cannot be compared, so nothing was written."
-    raise RewriteFailed(message, where=where, hint=hint)
+    raise RewriteFailed(message, where=where, hint=f"{fault.hint} {hint}".strip())
 
 
 def _require_repeatable(

@@ -9,6 +9,7 @@ __all__ = [
     "Change", "GraphStats", "RewriteResult", "graph_stats", "normalize_model", "rewrite_file", "rewrite_graph",
 ]  # fmt: skip
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -23,7 +24,6 @@ from onnx_ir.passes.common import (
     NameFixPass,
     RemoveUnusedFunctionsPass,
     RemoveUnusedNodesPass,
-    ShapeInferencePass,
 )
 
 from gsgen.contract.errors import ConfigInvalid
@@ -45,6 +45,7 @@ from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BIT_EXACT, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
+from gsgen.sdk.passes.framework.shape_inference import infer_shapes
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
@@ -171,7 +172,10 @@ def rewrite_file(
         before, after = graph_stats(source, rewrite_target), graph_stats(run.latest, rewrite_target)
     if path is not None:
         with atomic_write(path) as draft:
-            run.save(draft)
+            if run.changes:
+                run.save(draft)
+            else:
+                _copy_unchanged(source, path, draft, run)
     return RewriteResult(
         path=path,
         changes=tuple(_merge_changes(run.changes)),
@@ -225,6 +229,18 @@ class _ComparedRun:
         save_model(self.model, path, external_weights=self.external_weights)
 
 
+def _copy_unchanged(source: Path, path: Path, draft: Path, run: _ComparedRun) -> None:
+    """Write a model that no pass changed: the bytes of its file.
+
+    A copy in another folder would miss external weights; it gets a file of weights of its own.
+    """
+    if not run.external_weights or path.parent.resolve() == source.parent.resolve():
+        shutil.copyfile(source, draft)
+        return
+    save_model(load_model(source), draft, external_weights=True)
+    compare_files(source, draft, run.outputs, run.probes, run.limits, BIT_EXACT, "copy")
+
+
 def _refuse_invalid_model(report: Report) -> None:
     """Raise if a model's external weights are unsafe to read, or its graph is ill-formed."""
     for finding in report.findings:
@@ -254,19 +270,13 @@ def normalize_model(model: ir.Model) -> None:
         if not node.name and node.outputs:
             node.name = node.outputs[0].name  # reports name the changed nodes
     NameFixPass()(model)
-    _infer(model)
+    infer_shapes(model)
 
 
 def remove_unused(model: ir.Model) -> None:
     """Remove nodes and weights of a graph that no node or output reads."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
-
-
-def _infer(model: ir.Model) -> None:
-    # Without data propagation: for tables of a million rows it takes minutes, and the pass
-    # fold-shapes finds the same facts.
-    ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
 
 def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
@@ -291,7 +301,7 @@ def _apply_until_stable(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Ch
             changed = True
             changes.append(Change(rewrite.name, rewrite.exactness, tuple(rewrite.changed)))
             RemoveUnusedNodesPass()(model)
-            _infer(model)
+            infer_shapes(model)
         if not changed:
             return _merge_changes(changes)
     unstable_names = ", ".join(sorted({change.rewrite for change in changes}))

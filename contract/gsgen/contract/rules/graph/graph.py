@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.model.versions import declared_opset, lower_ir_version_hint, lower_opset_hint
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN
 from gsgen.contract.spec.severity import Severity
@@ -29,16 +30,21 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     """
     low, high = subject.target.opset
     proto = subject.file.proto
-    opsets = {entry.domain: entry.version for entry in proto.opset_import}
-    opset = next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), None)
+    opset = declared_opset(proto)
     if opset is None:
         yield Violation.at(
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
     elif not low <= opset <= high:
-        yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}")
+        hint = lower_opset_hint(proto, high) if opset > high else ""
+        yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}", hint=hint)
     if proto.ir_version > subject.target.ir:
-        yield Violation.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
+        yield Violation.at(
+            "ir_version",
+            str(proto.ir_version),
+            f"{subject.target.ir} at most",
+            hint=lower_ir_version_hint(proto, subject.target.ir),
+        )
 
 
 @rule("GG002", Severity.ERROR, kinds=MANIFEST_KINDS)

@@ -26,6 +26,11 @@ _USUAL_RATIO_RANGE = (0.25, 0.6)
 # Gaussians that follow their neighbours are not dust: below the first, a mistake is undone up to the
 # second.
 _MAX_SPARSE_RATIO, _MAX_DENSE_RATIO = 0.1, 2.2
+# A power of the sizes multiplies the spread of their logarithms: of right scenes 0.2 to 0.3, of sizes
+# that an author chose nearly 0. Below this, a power is unlikely.
+_MIN_POWER_SPREAD = 0.4
+# Few Gaussians are far apart by their number: with fewer rows, wrong units are unlikely.
+_MIN_DENSE_COUNT = 1000
 # A square root makes discs and needles, whose shortest axis is below a tenth of the longest, about
 # this thick. Other shapes are suspected only where their axes were written without a rotation.
 _THICKNESS_RANGE = (0.17, 0.45)
@@ -97,7 +102,10 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
         actual += ", although they follow the surface or the strand of their neighbours"
     elif _MIN_RATIO <= ratio <= _MAX_RATIO:
         return
-    expected = f"a size of {_MIN_RATIO} to {_MAX_RATIO:g} times the distance to the neighbours"
+    is_suspected = _MIN_RATIO <= ratio <= _MAX_RATIO  # the limits hold; the shapes tell otherwise
+    low, high = (_SMALL_RATIO, _LARGE_RATIO) if is_suspected else (_MIN_RATIO, _MAX_RATIO)
+    usual = ", as right scenes mostly have" if is_suspected else ""
+    expected = f"a size of {low} to {high:g} times the distance to the neighbours{usual}"
     location = Location(sample.emission.rows_label, "covariance")
     usual_statistic = Statistic(
         "median standard deviation over the spacing", ratio, _SMALL_RATIO, _LARGE_RATIO
@@ -126,12 +134,28 @@ def _find_mistake(sample: DrawnSample, ratio: float) -> str:
         else _USUAL_RATIO_RANGE[1]
     )
     for mistake, (low, high), revert_mistake in _KNOWN_MISTAKES:
+        if high == _SMALL_RATIO and not _may_be_too_small(sample, revert_mistake):
+            continue
         corrected_ratio = float(np.median(revert_mistake(sigma).max(axis=1) / spacing))
         if mistake == _NOT_SQUARED_TEXT and not _may_be_roots(sample):
             continue
         if low < ratio < high and _USUAL_RATIO_RANGE[0] <= corrected_ratio <= largest:
             return mistake
     return ""
+
+
+def _may_be_too_small(
+    sample: DrawnSample, revert_mistake: Callable[[SigmaArray], SigmaArray]
+) -> bool:
+    """Return whether a mistake could have made sizes small that were right before.
+
+    A power shows in the spread of the sizes, wrong units only where Gaussians are dense or follow
+    their neighbours.
+    """
+    single, double = revert_mistake(np.array([1.0, 2.0]))
+    if double == 2 * single:  # the mistake is a factor
+        return sample.count >= _MIN_DENSE_COUNT or _follows_neighbours(sample)
+    return float(np.log(sample.sigma[:, 2]).std()) >= _MIN_POWER_SPREAD
 
 
 def _follows_neighbours(sample: DrawnSample) -> bool:

@@ -55,7 +55,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
             else f" at probe {probe_runs.plan.probes[fault.probe].label!r}"
         )
         actual = f"{fault.stage}{probe}: {fault.message}"
-        yield Violation.at("ONNX Runtime", actual, "no error")
+        yield Violation.at("ONNX Runtime", actual, "no error", hint=fault.hint)
 
 
 @rule("GV032", Severity.ERROR, needs=("GV025", "GO004", "GO010", "GO011", "GV054"))

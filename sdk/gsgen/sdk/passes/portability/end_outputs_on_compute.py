@@ -32,6 +32,8 @@ class EndOutputsOnCompute(Rewrite):
         for index, value in enumerate(model.graph.outputs):
             if value.is_graph_input():
                 continue  # input and output share a name, which a new output could not have
+            if not isinstance(value.type, ir.TensorType) or value.dtype == ir.DataType.STRING:
+                continue  # sequences, optionals and strings have no arithmetic
             producer = value.producer()
             # Case 1: a copy, or a second output of the same value. Case 2: a weight.
             if producer is None or _only_copies(producer) or value in visited:
@@ -54,8 +56,7 @@ def _only_copies(node: ir.Node) -> bool:
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
-    if kind is None:
-        raise ValueError(f"output {name!r} has no dtype, expected a known dtype")
+    assert kind is not None  # the caller skips outputs without a type
     value.name = free_name(graph, f"{name}_uncopied")
     unit = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
     operator = "And" if kind == ir.DataType.BOOL else "Mul"

@@ -5,13 +5,13 @@ __all__ = ["FoldShapes"]
 
 import numpy as np
 import onnx_ir as ir
-from onnx_ir.passes.common import ShapeInferencePass
 
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import replace_value, weight
 from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
+from gsgen.sdk.passes.framework.shape_inference import infer_shapes
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 # A shape has a few numbers; a table of row numbers, which no GPU kernel computes, may have many.
@@ -39,7 +39,7 @@ class FoldShapes(CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Fold arithmetic on shapes and infer shapes, alternately, until nothing changes."""
         while self._fold_once(model):
-            ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
+            infer_shapes(model)
 
     def _fold_once(self, model: ir.Model) -> bool:
         before = len(self.changed)
