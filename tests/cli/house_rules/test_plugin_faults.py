@@ -48,12 +48,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_with_plugin(folder: Path, site: Path, group: str, code: str, *words: str) -> Ran:
+def run_with_plugin(
+    folder: Path, site: Path, group: str, code: str, *words: str, name: str = "acme"
+) -> Ran:
     """Run a command where a distribution registers the module ``acme_plugin`` with some code."""
     info = site / "acme-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{group}]\nacme = acme_plugin\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\n{name} = acme_plugin\n", "utf-8")
     (site / "acme_plugin.py").write_text(code, "utf-8")
     completed = subprocess.run(
         [sys.executable, "-P", "-m", "gsgen.cli", *words],
@@ -79,6 +81,29 @@ def test_plugin_that_does_not_load_ends_with_3_and_is_named(
     assert len(text) < 10_000
     assert all(char.isprintable() for char in text.replace("\n", ""))
     assert not [line for line in text.splitlines() if line.lstrip().startswith("::")]
+
+
+@pytest.mark.parametrize(
+    ("group", "words"),
+    [
+        ("gsgen.commands", ("--help",)),
+        ("gsgen.commands", ("NAME",)),
+        ("gsgen.generators", ("plugins",)),
+        ("gsgen.generators", ("export", "--help")),
+        ("gsgen.generators", ("export", "NAME")),
+        ("gsgen.rules", COMMANDS["gsgen.rules"]),
+        ("gsgen.targets", ("validate", "drift.onnx", "--target", "NAME")),
+    ],
+)
+def test_name_of_a_plugin_controls_no_terminal(
+    folder: Path, tmp_path: Path, group: str, words: tuple[str, ...]
+) -> None:
+    name = "acme\x1b[2J\x9b1m\u202e::x"
+    typed = [name if word == "NAME" else word for word in words]
+    completed = run_with_plugin(folder, tmp_path, group, FAULTS["sys.exit"], *typed, name=name)
+    text = completed.out + completed.err
+    assert "acme" in text
+    assert not set(text) & {"\x1b", "\x9b", "\u202e"}
 
 
 RULE = """
