@@ -38,7 +38,7 @@ __all__ = [
 
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import ClassVar
+from typing import ClassVar, Self
 
 _MAX_LISTED_NAMES = 12
 
@@ -86,6 +86,13 @@ class GsgenError(Exception):
         self.where = where
         self.hint = hint
         super().__init__(message)
+
+    def located(self, where: str) -> Self:
+        """Return a copy of the error with another location, whichever arguments its class takes."""
+        error = type(self).__new__(type(self), *self.args)
+        error.__dict__.update(self.__dict__)
+        error.where = where
+        return error
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.message}" if self.where else self.message

@@ -10,19 +10,20 @@ import sys
 from contextlib import suppress
 from typing import Never
 
-from gsgen.cli.text_streams import accept_any_text, safe_streams
+from gsgen.cli.text_streams import accept_any_text, open_closed_streams, safe_streams
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.process.drafts import remove_own_drafts
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
 # Objects between two garbage collections: more than all imports of a command create.
 _COLLECTION_THRESHOLD = 500_000
-# Errors of a full or read-only disk.
-_UNWRITABLE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+# Errors of a full or read-only disk, and of a closed stdout.
+_UNWRITABLE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EBADF)
 
 
 def main() -> None:
     """Run the `gsgen` command line on the process's arguments, and exit with its exit code."""
+    open_closed_streams()
     accept_any_text()
     with safe_streams():
         _run_until_interrupt()
@@ -57,14 +58,17 @@ def _run() -> None:
             sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:
         _fail(error)
-    except BrokenPipeError:  # the reader closed the pipe: `gsgen rules | head`
-        sys.stderr.close()
-        sys.exit(ExitCode.USAGE)
+    except BrokenPipeError:
+        _end_at_closed_pipe()
     except OSError as error:
-        if error.errno not in _UNWRITABLE_ERRORS:
-            _crash()
-        _fail_unwritable(error)
-    except (KeyboardInterrupt, SystemExit):
+        _fail_at_system(error)
+    except UnicodeEncodeError as error:
+        _fail_at_text(error)
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):
+            _end_at_closed_pipe()  # click and rich would exit with 1, as if a model were invalid
+        raise
+    except KeyboardInterrupt:
         raise
     except BaseException:  # a crash is neither a verdict nor a wrong option
         _crash()
@@ -88,6 +92,31 @@ def _dispatch(arguments: list[str]) -> None:
     build()(arguments, prog_name="gsgen")
 
 
+def _end_at_closed_pipe() -> Never:
+    """End silently where the reader closed the pipe: `gsgen rules | head`."""
+    sys.stderr.close()  # to which the interpreter would report that stdout cannot be flushed
+    sys.exit(ExitCode.USAGE)
+
+
+def _fail_at_system(error: OSError) -> Never:
+    """Report what the system refuses: it is no fault of gsgen that a disk is full."""
+    if error.errno in _UNWRITABLE_ERRORS:
+        _fail_unwritable(error)
+    if error.filename is not None:
+        _fail(GsgenError(error.strerror or str(error), where=str(error.filename)))
+    if error.errno == errno.ENOENT:  # of os.getcwd(), which names no file
+        _fail(GsgenError("the current folder does not exist", hint="Change to another folder."))
+    _crash()
+
+
+def _fail_at_text(error: UnicodeEncodeError) -> Never:
+    """Report a file name whose bytes are not UTF-8, which libraries and formats cannot take."""
+    text = error.object[error.start : error.end]
+    if not all("\udc80" <= character <= "\udcff" for character in text):
+        _crash()
+    _fail(GsgenError("the name is not valid UTF-8", where=error.object, hint="Rename the file."))
+
+
 def _fail_unwritable(error: OSError) -> Never:
     try:
         sys.stdout.flush()
@@ -96,6 +125,8 @@ def _fail_unwritable(error: OSError) -> Never:
             sys.stdout.close()  # else the interpreter flushes it again at exit
     message = f"output, or a temporary file, cannot be written: {error.strerror}"
     hint = "Make room where it goes; the environment variable TMPDIR names another folder."
+    if error.errno == errno.EBADF:
+        hint = "Standard output is closed."
     _fail(GsgenError(message, where=str(error.filename or ""), hint=hint))
 
 

@@ -1,6 +1,9 @@
 """The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
 
-__all__ = ["PASS_THROUGH_SETTINGS", "EndedEarly", "build", "click_command", "refusing", "runnable"]
+__all__ = [
+    "PASS_THROUGH_SETTINGS", "EndedEarly", "build", "click_command", "refusing", "runnable",
+    "usable_command",
+]  # fmt: skip
 
 import os
 from collections.abc import Callable, Iterator
@@ -12,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_table import Command, find_command, panels
 from gsgen.cli.options import OPTION_ORDER
-from gsgen.contract._entry_points import Extension, ExtensionUnusable
+from gsgen.contract._entry_points import Extension, ExtensionUnusable, foreign_code, short_repr
 from gsgen.contract._safe_text import for_shell, printable
 from gsgen.contract.errors import ExitCode, UnknownName
 
@@ -75,6 +78,8 @@ class _CommandGroup(TyperGroup):
             with _printable_errors():
                 return super().invoke(ctx)
         except SystemExit as error:
+            if isinstance(error.__context__, BrokenPipeError):  # rich ends the process for a pipe
+                raise
             command = find_command(ctx.invoked_subcommand or "")
             if command is not None and command.code.owner != "gsgen":
                 raise
@@ -94,17 +99,52 @@ def _printable_errors() -> Iterator[None]:
 
 def click_command(command: Command) -> Any:
     """Import a command, and return it as a click command."""
-    app = typer.Typer(add_completion=False)
     loaded_command, settings = runnable(command.code)
-    if isinstance(loaded_command, typer.Typer):
+    return usable_command(command.code, loaded_command, settings, cls=_OrderedCommand)
+
+
+def usable_command(
+    extension: Extension,
+    loaded: object,
+    settings: dict[str, Any],
+    *,
+    cls: type[TyperCommand] = TyperCommand,
+    help: str | None = None,
+) -> Any:
+    """Return the click command of a function or typer app, or one that says why there is none.
+
+    Args:
+        extension: Its name and entry point.
+        loaded: The object that the extension names: a third party may register any.
+        settings: Context settings of a function.
+        cls: The class of a function's command.
+        help: The help of a function, in place of its docstring.
+    """
+    try:
+        with foreign_code():
+            return _click_command(extension.name, loaded, settings, cls, help)
+    except Exception as error:  # typer refuses annotations that it does not know, for example
+        reason = str(error) if isinstance(error, TypeError) else short_repr(error)
+        message = f"`{extension.name}` ({extension.point.value}) is not a command: {reason}"
+        function = refusing(ExtensionUnusable(message, f"Broken: {reason}", ExitCode.INTERNAL))
+        return _click_command(extension.name, function, PASS_THROUGH_SETTINGS, cls, None)
+
+
+def _click_command(
+    name: str, loaded: Any, settings: dict[str, Any], cls: type[TyperCommand], help: str | None
+) -> Any:
+    app = typer.Typer(add_completion=False)
+    if isinstance(loaded, typer.Typer):
         from gsgen.cli.option_panels import arrange_options
 
-        app.add_typer(loaded_command, name=command.name)
-        group = typer.main.get_group(app).commands[command.name]
+        app.add_typer(loaded, name=name)
+        group = typer.main.get_group(app).commands[name]
         arrange_options(group)
         return group
-    app.command(command.name, cls=_OrderedCommand, context_settings=settings)(loaded_command)
-    return typer.main.get_group(app).commands[command.name]
+    if not callable(loaded):
+        raise TypeError(f"{short_repr(loaded)}, expected a function or a typer.Typer")
+    app.command(name, cls=cls, help=help, context_settings=settings)(loaded)
+    return typer.main.get_group(app).commands[name]
 
 
 def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:

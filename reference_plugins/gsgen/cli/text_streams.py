@@ -5,7 +5,10 @@ even where a command or a plugin does not escape it. Output that is piped or red
 machines, ASCII in the C locale. Printing ``→`` there raises UnicodeEncodeError.
 """
 
-__all__ = ["SafeStream", "accept_any_text", "safe_streams", "transliterate", "unescaped"]
+__all__ = [
+    "SafeStream", "accept_any_text", "open_closed_streams", "safe_streams", "transliterate",
+    "unescaped",
+]  # fmt: skip
 
 import codecs
 import os
@@ -92,6 +95,25 @@ def _safe(stream: TextIO | None) -> Any:
 def unescaped(stream: TextIO) -> TextIO:
     """Return the stream below a safe stream, for text of which every part is escaped already."""
     return stream.unescaped if isinstance(stream, SafeStream) else stream
+
+
+def open_closed_streams() -> None:
+    """Open the standard streams that were closed when the process started, as by ``>&-``.
+
+    The next file that the process opens would take the free descriptor, and receive what libraries
+    print. Reading stdin gives nothing, writing to stdout fails, and stderr is discarded.
+    """
+    for name, number, mode, flags in (
+        ("stdin", 0, "r", os.O_RDONLY),
+        ("stdout", 1, "w", os.O_RDONLY),
+        ("stderr", 2, "w", os.O_WRONLY),
+    ):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, flags)
+            if descriptor != number:
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            setattr(sys, name, open(number, mode, encoding="utf-8"))  # noqa: SIM115 (for good)
 
 
 def accept_any_text() -> None:

@@ -46,4 +46,4 @@ def locate_in_frame(error: GsgenError, model: str, frame: int) -> GsgenError:
     """Return a copy of an error whose location also names the model and the frame."""
     frame_name = f"{model}, frame {frame}"
     where = frame_name if error.where in ("", model) else f"{frame_name}, {error.where}"
-    return type(error)(error.message, where=where, hint=error.hint)
+    return error.located(where)

@@ -1,11 +1,13 @@
 """Every command that reads a file ends with 4 where it cannot, whatever it would have done."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from gsgen.contract.errors import ExitCode
 from gsgen.sdk.plugins.plugin import find_plugins
-from support.commands import gsgen_here
+from support.commands import ROOT, gsgen_here
 
 # What is typed for MODEL, where the file named is none.
 MODELS = {
@@ -76,3 +78,11 @@ def test_invalid_options_exit_2() -> None:
     ):
         completed = gsgen_here(*words)
         assert completed.code == 2, (words, completed.err)
+
+
+def test_documented_exit_codes_are_those_of_the_program() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    section = text.partition("## Exit codes\n")[2].partition("\n## ")[0]
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", section, re.MULTILINE)} == set(
+        ExitCode
+    )

@@ -55,26 +55,12 @@ def test_attempt_to_reach_the_network_is_counted(attempt: str, tmp_path: Path) -
     assert run_offline(sys.executable, "-c", script, folder=tmp_path).packets
 
 
-SESSION = """
-import time
-import gsgen
-import onnxruntime
-
-onnxruntime.InferenceSession("drift.onnx", providers=["CPUExecutionProvider"])
-time.sleep(0.5)
-"""
-
-
-@pytest.mark.parametrize(
-    ("environment", "reports"), [({}, False), ({"ORT_DISABLE_TELEMETRY": "0"}, True)]
-)
-def test_telemetry_is_on_only_if_the_user_switches_it_on(
-    environment: dict[str, str], reports: bool, folder: Path
-) -> None:
+def test_telemetry_that_the_user_switches_on_is_seen(folder: Path) -> None:
     pytest.importorskip("onnxruntime", "1.31", reason="older releases report nothing")
-    done = run_offline(sys.executable, "-c", SESSION, folder=folder, environment=environment)
-    assert done.code == 0, done.output
-    assert any("onnxruntime" in file for file in done.home_files) == reports
+    environment = {"ORT_DISABLE_TELEMETRY": "0"}
+    command = (*GSGEN, *COMMANDS["validate"])
+    done = run_offline(*command, folder=folder, environment=environment)
+    assert any("onnxruntime" in file for file in done.home_files)
 
 
 @pytest.mark.parametrize("variable", ["ORT_DISABLE_TELEMETRY", "HF_HUB_DISABLE_TELEMETRY"])

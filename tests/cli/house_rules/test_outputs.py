@@ -25,7 +25,7 @@ WRITING_COMMANDS: dict[str, tuple[tuple[str, ...], str, tuple[str, ...], int]] =
     "render a GIF": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".gif", (), 2),
     "render a film": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "-o"), ".mp4", (), 2),
     "render pictures": (("render", "cloud.npz", *SMALL_SIZE_ARGS, "--frames", "2", "-o"), "", (), 2),
-    "convert": (("convert", "cloud.npz"), ".ply", (), 1),
+    "convert": (("convert", "cloud.npz"), ".ply", (), 2),
     "references": (("references", "MODEL", "--width", "16", "--count", "1", "-o"), ".onnx", (), 2),
 }  # fmt: skip
 

@@ -117,7 +117,9 @@ def test_folder_that_cannot_be_listed_is_no_error() -> None:
 
 def test_all_temporary_folders_are_drafts() -> None:
     """Only what :mod:`gsgen.contract.process.drafts` makes is recognised by later processes."""
-    pattern = re.compile(r"import tempfile|from tempfile import (?!TemporaryFile\b)")
+    pattern = re.compile(
+        r"tempfile\.(?!TemporaryFile\b|gettempdir\b)|from tempfile import (?!TemporaryFile\b)"
+    )
     packages = [ROOT / name for name in ("contract", "sdk", "runtime", "reference_plugins")]
     modules = [path for package in packages for path in package.rglob("*.py")]
     modules = [path for path in modules if path.name != "drafts.py"]

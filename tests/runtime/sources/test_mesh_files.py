@@ -1,11 +1,14 @@
 """Files of triangles are told from files of Gaussians, and read as they look."""
 
+import cProfile
 import io
 import json
 import logging
+import os
 import struct
 import subprocess
 import sys
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -172,7 +175,7 @@ HOSTILE = {
     ),
     "ring.glb": (
         glb({"nodes": [{"children": [1]}, {"children": [0]}]}),
-        r"nodes\[1\]: the node is its own ancestor",
+        r"nodes\[0\]: the node is its own ancestor",
     ),
     "packed.glb": (
         glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}),
@@ -265,3 +268,78 @@ def test_nothing_is_read_from_other_folders(tmp_path: Path) -> None:
     except SceneUnreadable:
         return
     assert mesh.data.texture is None or mesh.data.texture.shape[:2] != PICTURE.shape[:2]
+
+
+def _gltf_of_nodes(nodes: list[dict[str, object]]) -> str:
+    corners = np.eye(3, dtype="<f4").tobytes()
+    return json.dumps(
+        {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": nodes,
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "buffers": [
+                {
+                    "byteLength": 36,
+                    "uri": f"data:application/octet-stream;base64,{b64encode(corners).decode()}",
+                }
+            ],
+        }
+    )
+
+
+@pytest.mark.parametrize("shape", ["chain", "star"])
+def test_time_of_a_gltf_grows_with_its_nodes(tmp_path: Path, shape: str) -> None:
+    """Counted in products of matrices and calls of functions, which a loaded machine does not change."""
+    calls = []
+    for count in (300, 600):
+        links = [[number + 1] for number in range(count - 1)] if shape == "chain" else []
+        links = links or [list(range(1, count))]
+        nodes: list[dict[str, object]] = [
+            {"mesh": 0, "translation": [1, 0, 0]} for _ in range(count)
+        ]
+        for node, children in zip(nodes, links, strict=False):
+            node["children"] = children
+        file = tmp_path / f"{count}.gltf"
+        file.write_text(_gltf_of_nodes(nodes))
+        meshes = read_mesh(file)
+        assert len(meshes) == count
+        farthest = max(abs(mesh.transform[0, 3]) for mesh in meshes)
+        assert farthest == (count if shape == "chain" else 2)
+        profile = cProfile.Profile()
+        profile.runcall(read_mesh, file)
+        calls.append(sum(entry.callcount for entry in profile.getstats()))
+    assert calls[1] < 2.5 * calls[0]
+
+
+@pytest.mark.parametrize("kind", ["buffer", "picture", "material", "file"])
+def test_pipe_in_the_place_of_a_file_is_refused(tmp_path: Path, kind: str) -> None:
+    """Opening it would wait for ever: nothing writes to it."""
+    os.mkfifo(tmp_path / "pipe")
+    file = tmp_path / "mesh.gltf"
+    document = json.loads(_gltf_of_nodes([{"mesh": 0}]))
+    if kind == "buffer":
+        document["buffers"][0]["uri"] = "pipe"
+    document["images"] = [{"uri": "pipe"}]
+    document["textures"] = [{"source": 0}]
+    document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+    primitive = document["meshes"][0]["primitives"][0]
+    primitive["material"] = 0
+    primitive["attributes"]["TEXCOORD_0"] = 0
+    file.write_text(json.dumps(document))
+    if kind == "material":
+        file = tmp_path / "mesh.obj"
+        file.write_text("mtllib pipe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        with pytest.warns(UserWarning, match="pipe is missing"):
+            assert len(read_mesh(file)) == 1
+        return
+    if kind == "file":
+        file = tmp_path / "pipe.gltf"
+        os.mkfifo(file)
+        assert not is_mesh(file)
+        return
+    with pytest.raises(SceneUnreadable, match=r"regular file|textures: cannot be read"):
+        read_mesh(file)

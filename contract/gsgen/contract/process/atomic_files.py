@@ -12,8 +12,10 @@ __all__ = [
     "refuse_model",
     "require_page",
     "similar_file_hint",
+    "write_fault",
 ]
 
+import errno
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -148,7 +150,17 @@ def require_page(path: Path, sources: Iterable[Path] = ()) -> None:
 
 
 def _not_written_error(path: Path, error: OSError) -> ConfigInvalid:
-    return ConfigInvalid(f"cannot be written: {error.strerror or error}", where=str(path))
+    return ConfigInvalid(f"cannot be written: {write_fault(error)}", where=str(path))
+
+
+def write_fault(error: OSError) -> str:
+    """Return the cause of a failed write in the system's words.
+
+    For a file in the place of an output's folder, ``mkdir`` says that it exists.
+    """
+    if isinstance(error, FileExistsError):
+        return os.strerror(errno.ENOTDIR)
+    return error.strerror or str(error)
 
 
 def similar_file_hint(path: str | os.PathLike[str]) -> str:

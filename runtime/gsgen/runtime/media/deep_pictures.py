@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32, UInt16
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.pictures import Mode, array_of, levels_of
@@ -50,12 +51,17 @@ def save_exr(path: Path, frame: Frame, mode: Mode) -> None:
     """Write a frame as an OpenEXR file of 32-bit floats, atomically.
 
     Raises:
+        ConfigInvalid: The file cannot be written.
         SceneInvalid: The package OpenEXR is not installed.
     """
     exr = exr_package()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     with atomic_write(path) as temporary_path, exr.File(header, exr_channels(frame, mode)) as file:
-        file.write(str(temporary_path))
+        try:
+            file.write(str(temporary_path))
+        except RuntimeError as error:  # a full disk, among others; the cause is its last sentence
+            cause = str(error).rstrip(".").rpartition(". ")[2]
+            raise ConfigInvalid(f"cannot be written: {cause}", where=str(path)) from error
 
 
 def picture16_of(

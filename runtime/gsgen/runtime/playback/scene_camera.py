@@ -54,7 +54,7 @@ def scene_viewpoint(
         if camera is not None or text is None or error.where != "--camera":
             raise
         path = next(file.path for file in files if file.camera is not None)
-        raise type(error)(error.message, where=f"{path}: camera", hint=error.hint) from error
+        raise error.located(f"{path}: camera") from error
     if isinstance(scene_camera, Camera):
         return replace(view, orbit=None, cameras=(scene_camera,))
     return view

@@ -5,7 +5,7 @@ __all__ = ["is_mesh", "read_mesh"]
 import json
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -54,6 +54,8 @@ def is_mesh(path: Path) -> bool:
     STL files of text, are recognised by name. A file that cannot be opened is not a mesh.
     """
     try:
+        if not path.is_file():  # opening a pipe would wait for its writer
+            return False
         size = path.stat().st_size
         with path.open("rb") as file:
             header = file.read(_MAX_HEADER_BYTES)
@@ -166,12 +168,23 @@ def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # pillow warns of pictures that need too much memory
         scene: trimesh.Scene = library.load_scene(
-            BytesIO(content),
-            file_type=kind,
-            resolver=library.resolvers.FilePathResolver(str(path)),
-            **options,
+            BytesIO(content), file_type=kind, resolver=_resolver(library, path), **options
         )
     return scene
+
+
+def _resolver(library: ModuleType, path: Path) -> Any:
+    """Return what opens the files that a mesh file names: regular files in its folder."""
+
+    class RegularFiles(library.resolvers.FilePathResolver):  # type: ignore[name-defined, misc]
+        def absolute(self, name: str) -> Path:
+            file = Path(super().absolute(name))
+            if file.exists() and not file.is_file():
+                message = "is a folder, device or pipe, expected a regular file"
+                raise SceneInvalid(message, where=name)
+            return file
+
+    return RegularFiles(str(path))
 
 
 def _meshes(
@@ -179,8 +192,9 @@ def _meshes(
 ) -> Iterator[Mesh]:
     """Yield a mesh for each node of a scene; nodes of one geometry share the data."""
     mesh_by_geometry: dict[object, tuple[MeshData, bool]] = {}
+    matrices = _world_matrices(scene)
     for node in scene.graph.nodes_geometry:
-        matrix, name = scene.graph[node]
+        name = scene.graph.transforms.node_data[node]["geometry"]
         geometry = scene.geometry[name]
         if not hasattr(geometry, "faces") or not len(geometry.faces):
             continue  # points and lines
@@ -189,12 +203,29 @@ def _meshes(
                 geometry, is_gltf=is_gltf, has_no_materials=has_no_materials
             )
         data, is_colored = mesh_by_geometry[name]
-        transform = (_SCENE_FROM_GLTF if is_gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
+        transform = (_SCENE_FROM_GLTF if is_gltf else np.eye(4)) @ matrices[node]
         try:
             yield Mesh(data, transform, "unlit" if is_colored else "headlight")
         except SceneInvalid as error:
             message = f"node {node!r}: {error.where} {error.message}"
             raise SceneUnreadable(message, where=str(path), hint=error.hint) from error
+
+
+def _world_matrices(scene: "trimesh.Scene") -> dict[Hashable, Float[np.ndarray, "4 4"]]:
+    """Return node → matrix to the world; trimesh's own takes the cube of the depth for each node."""
+    children: dict[Hashable, list[tuple[Hashable, Float[np.ndarray, "4 4"]]]] = {}
+    edges = scene.graph.to_edgelist()  # type: ignore[no-untyped-call]
+    for parent, child, attributes in edges:
+        local_matrix = np.array(attributes.get("matrix", np.eye(4)), np.float64)
+        children.setdefault(parent, []).append((child, local_matrix))
+    matrices: dict[Hashable, Float[np.ndarray, "4 4"]] = {scene.graph.base_frame: np.eye(4)}
+    pending: list[Hashable] = [scene.graph.base_frame]
+    while pending:
+        parent = pending.pop()
+        for child, local_matrix in children.get(parent, ()):
+            matrices[child] = matrices[parent] @ local_matrix
+            pending.append(child)
+    return matrices
 
 
 @final
@@ -388,17 +419,17 @@ def _buffer_size(path: Path, buffer: _GltfObject) -> int:
 
 def _require_no_cycle(nodes: list[_GltfObject]) -> None:
     """Raise if a glTF node is its own ancestor; each node has at most one parent."""
-    parent = {
-        child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])
-    }
-    for start in parent:
-        steps, node_index = 0, start
-        while node_index in parent:
-            node_index, steps = parent[node_index], steps + 1
-            if steps > len(nodes):
-                raise SceneInvalid(
-                    "the node is its own ancestor, expected a tree", where=f"nodes[{start}]"
-                )
+    children = [node.get("children", []) for node in nodes]
+    unreached = set(range(len(nodes)))
+    pending = list(unreached.difference(*children))  # the roots
+    while pending:
+        node_index = pending.pop()
+        unreached.discard(node_index)
+        pending += children[node_index]
+    if unreached:
+        raise SceneInvalid(
+            "the node is its own ancestor, expected a tree", where=f"nodes[{min(unreached)}]"
+        )
 
 
 def _require_count(count: object, limit: int, where: str) -> None:

@@ -187,7 +187,7 @@ def _open_model(model: SceneModel, open_file: Callable[[], Source]) -> Source:
         where = (
             error.where if model.where in error.where else f"{model.where}{separator}{error.where}"
         )
-        raise type(error)(error.message, where=where, hint=error.hint) from error
+        raise error.located(where) from error
 
 
 def _open_mesh(part: SceneMesh) -> Source:
@@ -207,7 +207,7 @@ def _locate_errors(open_file: Callable[[], Result], where: str) -> Result:
         return open_file()
     except GsgenError as error:
         error_where = f"{where}: {error.where}" if error.where else where
-        raise type(error)(error.message, where=error_where, hint=error.hint) from error
+        raise error.located(error_where) from error
 
 
 def _document(path: Path) -> Mapping[str, object]:

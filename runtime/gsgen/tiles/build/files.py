@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.contract.process.atomic_files import write_fault
 from gsgen.contract.process.drafts import sweep_drafts, temporary_folder
 
 
@@ -40,9 +41,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
                 write(file)
             os.replace(draft, path)
     except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror or error}", where=str(path)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {write_fault(error)}", where=str(path)) from error
 
 
 def read_json(path: Path) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import final
 
-from gsgen.contract.errors import InputUnreadable
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.streaming.fetch import FetchResult
@@ -44,14 +44,14 @@ class EventLog:
         path: Of the file.
 
     Raises:
-        InputUnreadable: The file cannot be written.
+        ConfigInvalid: The file cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
-            raise InputUnreadable(
+            raise ConfigInvalid(
                 f"cannot be written: {error.strerror}",
                 where=str(path),
                 hint="Choose another --log.",

@@ -15,7 +15,7 @@ __all__ = [
     "ValueInvalid",
 ]
 
-from typing import ClassVar, final
+from typing import ClassVar, Self, final
 
 from gsgen.contract.errors import ExitCode, GsgenError
 
@@ -48,6 +48,12 @@ class FormatError(GsgenError):
         super().__init__(message, where=where, hint=hint)
         self.expected = expected
         self.path = path
+
+    def located(self, where: str) -> Self:
+        """Return a copy of the error whose location stands for that of the file."""
+        error = super().located(where)
+        error.path = None
+        return error
 
     def __str__(self) -> str:
         actual = ": ".join(part for part in (self.path, self.where, self.message) if part)

@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
 
-from gsgen.contract.process.atomic_files import is_device
+from gsgen.contract.process.atomic_files import is_device, write_fault
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatError
 
@@ -98,9 +98,7 @@ def replace_file(path: FilePath) -> Iterator[BinaryIO]:
                     yield file
                 os.replace(draft, path)
         except OSError as error:
-            raise FileUnwritable(
-                f"the file cannot be written: {error.strerror or error}"
-            ) from error
+            raise FileUnwritable(f"the file cannot be written: {write_fault(error)}") from error
 
 
 def stream_size(file: BinaryIO) -> int:
@@ -117,9 +115,7 @@ def make_folder(path: FilePath) -> None:
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FileUnwritable(
-                f"the file cannot be written: {error.strerror or error}"
-            ) from error
+            raise FileUnwritable(f"the file cannot be written: {write_fault(error)}") from error
 
 
 def _require_regular(path: FilePath) -> None:

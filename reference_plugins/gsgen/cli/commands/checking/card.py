@@ -37,7 +37,7 @@ def card(
     from gsgen.contract.errors import ConfigInvalid
     from gsgen.contract.model.inspected_model import inspect_model
     from gsgen.contract.model.model_file import open_model
-    from gsgen.contract.process.atomic_files import atomic_write, refuse_model
+    from gsgen.contract.process.atomic_files import atomic_write, is_device, refuse_model
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.tools.model_card import model_card
     from gsgen.contract.tools.pictures import with_picture
@@ -59,21 +59,22 @@ def card(
     progress(f"validating {model.name}")
     try:
         report = validate(model, settings)
-        picture = ""
-        if output is not None:
+        if output is not None and not is_device(output):
             report = with_picture(report, settings, draw_probe)
-            if report.picture is not None and report.picture.png:
-                path = output.with_suffix(".png")
-                with atomic_write(path) as draft:
-                    draft.write_bytes(report.picture.png)
-                picture = path.name
     finally:
         clear()
+    png = report.picture.png if report.picture is not None else None
+    picture = output.with_suffix(".png").name if output is not None and png else ""
     text = model_card(report, manifest, model.name, picture)
     if output is None:
         echo_text(text, end="")
     else:
-        write_text(output, text)
+        if png:
+            with atomic_write(output) as draft:
+                (draft.parent / picture).write_bytes(png)
+                draft.write_text(text, "utf-8", errors="backslashreplace")
+        else:
+            write_text(output, text)
         reason = report.picture.problem if report.picture is not None else ""
         echo(f"{output}: {report.verdict}{'' if picture else f'; no picture: {reason}'}")
     raise typer.Exit(ExitCode.SUCCESS if report.verdict == "conforms" else ExitCode.FAILURE)

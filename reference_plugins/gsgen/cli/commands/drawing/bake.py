@@ -111,14 +111,14 @@ def bake(
     Only drawn rows are written (live, opacity at least 1/255), in their order. Colours that depend
     on the view are fitted with spherical harmonics, and the PSNR is printed.
 
-    Exits 0 if everything was written, 1 if a file cannot be written, 2 for invalid options, 4 if
-    the model cannot be read.
+    Exits 0 if everything was written, 1 if the format cannot store a value, 2 for invalid options
+    or if a file cannot be written, 4 if the model cannot be read.
     """
     from gsgen.cli.commands.drawing.input_files import input_files
     from gsgen.cli.commands.drawing.opening import confined_models
     from gsgen.cli.model_options import sizes_of
     from gsgen.cli.progress import clear, progress
-    from gsgen.formats import FormatError
+    from gsgen.formats import FileUnwritable, FormatError
     from gsgen.runtime.baking.bake_frames import bake_source
     from gsgen.runtime.sources.source import GeneratorSource
 
@@ -143,6 +143,8 @@ def bake(
                 progress=progress,
                 inputs=input_files([model], camera=camera, poses=pose, inputs=inputs),
             )
+        except FileUnwritable:
+            raise
         except FormatError as error:
             echo_error(error)
             raise typer.Exit(ExitCode.FAILURE) from error

@@ -111,8 +111,8 @@ def convert(
 ) -> None:
     """Write the splats of SOURCE to TARGET in another format, and print the losses.
 
-    Exits 0 if TARGET was written, 1 if it cannot be, 2 for wrong options, 4 if SOURCE cannot be
-    read.
+    Exits 0 if TARGET was written, 1 if its format cannot store SOURCE, 2 for wrong options or if
+    it cannot be written, 4 if SOURCE cannot be read.
     """
     from gsgen.formats.conversion import convert as convert_file
     from gsgen.runtime.baking.targets import writable_codec
@@ -172,7 +172,7 @@ def _with_reported_warnings(
 ) -> "tuple[Conversion, list[str]]":
     """Run a splat conversion; return its result and warnings, or print the error and exit."""
     from gsgen.cli.progress import clear, progress
-    from gsgen.formats import FormatError, FormatWarning
+    from gsgen.formats import FileUnwritable, FormatError, FormatWarning
 
     is_reading = True
 
@@ -185,6 +185,8 @@ def _with_reported_warnings(
         warnings.simplefilter("always", FormatWarning)
         try:
             result = run(step=report_step)
+        except FileUnwritable:
+            raise
         except FormatError as error:
             is_unreadable = is_reading and error.path is not None
             echo_error(_mesh_error(error) if is_unreadable else error)

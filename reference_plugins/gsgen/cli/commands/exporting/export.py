@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from gsgen.cli.command_group import PASS_THROUGH_SETTINGS, refusing, runnable
+from gsgen.cli.command_group import PASS_THROUGH_SETTINGS, refusing, runnable, usable_command
 from gsgen.cli.commands.exporting.export_html import export_html
 from gsgen.cli.commands.exporting.export_options import with_common_options
 from gsgen.cli.commands.exporting.plugin_function import plugin_function
@@ -127,8 +127,8 @@ def _describe_target(target: str) -> str:
 
 def _plugin_command(extension: Extension) -> Any:
     """Import a plugin, and return the click command that exports its method, or reports why not."""
-    app = typer.Typer(add_completion=False)
     loaded_plugin, settings = runnable(extension)
+    help = None
     if isinstance(loaded_plugin, Plugin):
         try:
             function = plugin_function(loaded_plugin)
@@ -137,12 +137,8 @@ def _plugin_command(extension: Extension) -> Any:
             unusable_error = ExtensionUnusable(message, loaded_plugin.headline, ExitCode.USAGE)
             function, settings = refusing(unusable_error), PASS_THROUGH_SETTINGS
         help = f"{loaded_plugin.headline}\n\n{loaded_plugin.reads}"
-        app.command(extension.name, help=help, context_settings=settings)(function)
-    elif isinstance(loaded_plugin, typer.Typer):
-        app.add_typer(loaded_plugin, name=extension.name)
-    else:  # a typer function, or one that says why the plugin cannot be used
-        app.command(extension.name, context_settings=settings)(loaded_plugin)
-    command = typer.main.get_group(app).commands[extension.name]
+        loaded_plugin = function
+    command = usable_command(extension, loaded_plugin, settings, help=help)
     arrange_options(command)
     return command
 
