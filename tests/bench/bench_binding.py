@@ -14,58 +14,20 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from gsgen.contract.spec.manifest import (
-    AppearanceOutput,
-    GaussiansOutput,
-    GeneratorManifest,
-    GeneratorOutputs,
-    Input,
-    Space,
-)
 from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.binding.bound_session import BoundSession
 from support.measures import print_figure
-from support.models.small_models import good_rows, model, save, save_moving, weight
+from support.models.decoder import write_decoder
+from support.models.small_models import good_rows, save_moving
 
-GAUSSIANS, FEATURES, HIDDEN = 100_000, 32, 32
+GAUSSIANS = 100_000
 FRAMES = 10_000
-
-# A decoder as neural Gaussians have them: features and time through two layers to all columns.
-_DECODER = f"""
-decoder (float[1] time) => (float[{GAUSSIANS},10] gaussians, float[{GAUSSIANS},3] color) {{
-    shift = Mul (time, phase)
-    moved = Add (features, shift)
-    hidden = MatMul (moved, first)
-    active = Relu (hidden)
-    made = MatMul (active, second)
-    bounded = Sigmoid (made)
-    gaussians, color = Split <axis = 1> (bounded, columns)
-}}
-"""
 
 
 @pytest.fixture(scope="module")
 def decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model that decodes 100,000 Gaussians each frame."""
-    rng = np.random.default_rng(0)
-
-    def normal(*shape: int) -> np.ndarray:
-        return rng.standard_normal(shape, np.float32)
-
-    weights = {
-        "features": normal(GAUSSIANS, FEATURES),
-        "phase": normal(FEATURES),
-        "first": normal(FEATURES, HIDDEN),
-        "second": normal(HIDDEN, 13),
-        "columns": np.array([10, 3], np.int64),
-    }
-    proto = model(_DECODER, *(weight(name, array) for name, array in weights.items()))
-    outputs = GeneratorOutputs(
-        GaussiansOutput("gaussians", GAUSSIANS), AppearanceOutput("color", "rgb")
-    )
-    inputs = (Input(name="time", role="time", range=(0.0, 1.0), default=0.0),)
-    manifest = GeneratorManifest(name="decoder", inputs=inputs, outputs=outputs, space=Space())
-    return save(tmp_path_factory.mktemp("decoder") / "decoder.onnx", proto, manifest)
+    return write_decoder(tmp_path_factory.mktemp("decoder") / "decoder.onnx", GAUSSIANS)
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,17 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.moving import drifting_model
+from gsgen.contract.spec.manifest import Bounds
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.samples import garden
 from gsgen.sdk.binding.confined import models as confined_models
 from support.commands import gsgen, gsgen_here
 from support.models.hostile import HOSTILE
+from tiles.streaming.neural_scenes import write_neural_tileset
 
 SECONDS = 3
+BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))
 
 
 @pytest.fixture
@@ -71,3 +75,18 @@ def test_a_hostile_model_ends_a_command_at_a_limit_with_one_line(
     assert "limit (--" in line
     assert str(path) in line
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_neural_tile_draws_its_splats_with_one_line(tmp_path: Path, name: str) -> None:
+    honest_model = drifting_model(20, degree=1).with_manifest(bounds=BOUNDS).build()
+    hostile_model = HOSTILE[name](tmp_path).read_bytes()
+    models = [honest_model.SerializeToString(), hostile_model]
+    index = write_neural_tileset(tmp_path / "tiles", models)
+    options = ("--size", "48x32", "--sse", "0.1", "--timeout", str(SECONDS))
+    result = gsgen("render", str(index), "-o", str(tmp_path / "a.png"), *options)
+    assert result.code == 0
+    (line,) = result.err.splitlines()
+    assert "t/1.onnx" in line
+    assert line.endswith("the tile's splats are drawn")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.fixtures.builders.moving import input_driven_model
+from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding import benchmark
 from gsgen.sdk.binding.benchmark import time_frames
@@ -39,7 +40,7 @@ def test_unmeasurable_models_have_distinct_errors(models, tmp_path, monkeypatch)
     (tmp_path / "endless.py").write_text("import time; time.sleep(60)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(benchmark, "_WORKER", "endless")
-    timed_out = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
+    timed_out = time_frames(models["drift-float32"], "cpu", frames=1, limits=Limits(seconds=0.05))
     assert (timed_out.state, timed_out.reason) == ("crashed", "still running after 0.05 s")
 
 

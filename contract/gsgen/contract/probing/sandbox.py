@@ -139,6 +139,7 @@ def execute(
     rows: str = "",
     count: str = "",
     has_gpu: bool = False,
+    trusted: bool = False,
     **options: object,
 ) -> Iterator[Execution]:
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
@@ -152,6 +153,7 @@ def execute(
         rows: The output of packed rows, which survey probes and camera placements read.
         count: The output of the row count, which survey probes read.
         has_gpu: Allow the worker the devices of GPUs.
+        trusted: Do not confine the child, whose time alone is limited.
         options: What that worker wants to know besides; anything that JSON can hold.
 
     A model that is unreadable, or whose external weights must not be read, is a fault of loading;
@@ -172,6 +174,7 @@ def execute(
         "rows": rows,
         "count": count,
         "has_gpu": has_gpu,
+        "trusted": trusted,
         "readable": [str(path) for path in readable],
     }
     with temporary_folder() as folder:

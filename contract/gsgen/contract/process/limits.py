@@ -1,6 +1,7 @@
 """Limits on the time and memory of a worker process."""
 
 __all__ = [
+    "DRIVER_BYTES",
     "FRAME_SECONDS",
     "Limits",
     "available_cores",
@@ -19,6 +20,9 @@ from gsgen.contract.errors import ConfigInvalid
 
 FRAME_SECONDS: Final = 60.0
 """Time for loading a model that is drawn, and for each of its frames."""
+
+DRIVER_BYTES: Final = 2 << 30
+"""Memory for drivers and shader compilers, in addition to the model's."""
 
 _MODEL_COPIES = 5
 _OUT_OF_MEMORY = (

@@ -10,6 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
+from gsgen.contract.process.confinement import available_confinement
+
 CheckState = Literal["ok", "missing", "broken"]
 
 
@@ -53,14 +55,38 @@ def checks() -> Iterator[Check]:
     for name in ("numpy", "onnx", "onnxruntime"):
         yield check_package(name, f"pip install {name}", purpose="validate")
     yield _check_sandbox()
+    yield from _check_confinement()
+
+
+def _check_confinement() -> Iterator[Check]:
+    """Yield what confines a model's process on this system, besides limits on time and memory."""
+    confinement = available_confinement()
+    purpose = "models of others"
+    is_linux = sys.platform.startswith("linux")
+    files_detail = f"Landlock {confinement.files}: a model's process reads no other file of yours"
+    calls_detail = "seccomp: a model's process has no network, and starts no other"
+    remedy = "Run models of others in a container, or on Linux 5.13 or newer."
+    for name, is_there, detail, needed in (
+        ("confined files", confinement.files, files_detail, "Landlock"),
+        ("confined calls", confinement.calls, calls_detail, "seccomp"),
+    ):
+        missing_detail = f"this kernel has no {needed}" if is_linux else "Linux alone has it"
+        yield Check(
+            name=name,
+            state="ok" if is_there else "missing",
+            detail=detail if is_there else missing_detail,
+            remedy="" if is_there else remedy,
+            purpose=purpose,
+        )
 
 
 def _check_sandbox() -> Check:
     """Check that a minimal model runs in the sandbox (child process), as validation needs."""
     from onnx import ModelProto, NodeProto, TensorProto
 
+    from gsgen.contract.errors import HostFailed
     from gsgen.contract.probing.probes import Probe
-    from gsgen.contract.probing.sandbox import execute
+    from gsgen.contract.probing.sandbox import Fault, execute
     from gsgen.contract.process.drafts import temporary_folder
     from gsgen.contract.process.limits import Limits
 
@@ -76,10 +102,12 @@ def _check_sandbox() -> Check:
     with temporary_folder() as folder:
         path = folder / "smallest.onnx"
         path.write_bytes(model.SerializeToString())
-        with execute(
-            path, ["y"], [Probe(label="none", inputs={})], Limits(seconds=30)
-        ) as execution:
-            fault, seconds = execution.fault, execution.seconds
+        probes, limits = [Probe(label="none", inputs={})], Limits(seconds=30)
+        try:
+            with execute(path, ["y"], probes, limits) as execution:
+                fault, seconds = execution.fault, execution.seconds
+        except HostFailed as error:
+            fault, seconds = Fault("crash", error.message), 0.0
     purpose = "levels values and behaviour"
     if fault is not None:
         return Check(

@@ -11,7 +11,8 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import GsgenError, HostFailed
+from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.severity import Severity
@@ -52,10 +53,11 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
         )
 
 
-def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
+def require_generator(path: Path, limits: Limits | None = None) -> tuple[GeneratorManifest, Report]:
     """Validate a neural tile's ONNX model; raise unless it is a generator that conforms.
 
-    The bounds of its manifest have to hold for all test inputs.
+    The bounds of its manifest have to hold for all test inputs. ``limits`` are those of its runs;
+    None for those of the validator.
 
     Raises:
         TilesetInvalid: The model breaks rules, or is of another kind.
@@ -63,7 +65,9 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
     """
     from gsgen.contract import Level, Settings, open_model, validate
 
-    settings = Settings(level=Level.VALUES, severities={_BOUNDS_RULE: Severity.ERROR})
+    settings = Settings(
+        level=Level.VALUES, severities={_BOUNDS_RULE: Severity.ERROR}, limits=limits or Limits()
+    )
     report = validate(path, settings)
     if report.verdict != "conforms":
         rules = ", ".join(
@@ -89,7 +93,13 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
 
 
 def check_neural_model(
-    path: Path, tile: Tile, neural: NeuralTile, location: str, *, bounds: TileBounds
+    path: Path,
+    tile: Tile,
+    neural: NeuralTile,
+    location: str,
+    *,
+    bounds: TileBounds,
+    limits: Limits | None = None,
 ) -> Iterator[Violation]:
     """Check a neural tile's ONNX generator against validation rules and the tile's declaration.
 
@@ -99,9 +109,15 @@ def check_neural_model(
         neural: The declaration.
         location: Of the tile, in violations.
         bounds: Of the tile.
+        limits: Of the runs that check the model; None for those of the validator.
+
+    Raises:
+        HostFailed: This machine, not the model, ended a run.
     """
     try:
-        manifest, report = require_generator(path)
+        manifest, report = require_generator(path, limits)
+    except HostFailed:
+        raise
     except TilesetInvalid as error:
         yield Violation.at(location, f"{neural.uri} {error.actual}", error.expected)
         return

@@ -11,18 +11,16 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.contract._safe_text import for_shell
-from gsgen.contract.errors import InputUnreadable
-from gsgen.contract.model.files_beside import require_loadable
-from gsgen.contract.model.load_failures import explain_load_failure
+from gsgen.contract.errors import GsgenError, HostFailed, InputUnreadable
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.sandbox_worker import model_source
 from gsgen.contract.spec.fields.roles import STATE_SIZES
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_quaternion, rotation_vector
 
 if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
+    from gsgen.sdk.binding import FrameSession
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 _HISTORY_INPUT: Final = "camera_history"
 _MAX_HISTORY_LENGTH: Final = 1000  # states of a history
@@ -39,7 +37,7 @@ class TrajectoryModel:
         history: States that the model takes.
     """
 
-    def __init__(self, path: Path, manifest: TrajectoryManifest, session: "InferenceSession"):
+    def __init__(self, path: Path, manifest: TrajectoryManifest, session: "FrameSession") -> None:
         future = manifest.outputs.future
         entry = next(entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT)
         self.name, self.steps = str(path), future.steps
@@ -49,13 +47,15 @@ class TrajectoryModel:
         self._session = session
 
     @classmethod
-    def open(cls, path: Path) -> "TrajectoryModel":
+    def open(cls, path: Path, confined: "ConfinedModels | None" = None) -> "TrajectoryModel":
         """Open an ONNX model of the kind trajectory-predictor.
+
+        ``confined`` runs it in a child process with limits; None runs it in this process.
 
         Raises:
             InputUnreadable: The file is not such a model, or its outputs do not fit its manifest.
         """
-        import onnxruntime
+        from gsgen.sdk.binding import FrameSession
 
         text = open_model(path).manifest_text
         manifest = loads(text) if text is not None else None
@@ -78,19 +78,13 @@ class TrajectoryModel:
                 where=str(path),
                 hint=f"Check it with: gsgen validate {for_shell(str(path))}",
             )
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.log_severity_level = 3
-        source = model_source(str(require_loadable(path)))
         try:
-            session = onnxruntime.InferenceSession(
-                source, options, providers=["CPUExecutionProvider"]
-            )
-        except Exception as error:  # ONNX Runtime raises types of its own, without a base
-            failure = explain_load_failure(str(error))
-            raise InputUnreadable(
-                f"cannot be loaded: {failure.cause}", where=str(path), hint=failure.hint
-            ) from error
+            session = FrameSession(path, provider="cpu", threads=1, confined=confined or False)
+        except HostFailed:
+            raise
+        except GsgenError as error:
+            message = f"cannot be loaded: {error.message}"
+            raise InputUnreadable(message, where=str(path), hint=error.hint) from error
         return cls(path, manifest, session)
 
     def predictor(self) -> "OnnxPredictor":
@@ -104,11 +98,12 @@ class TrajectoryModel:
             InputUnreadable: The model fails, or its outputs are not finite states.
         """
         try:
-            (future,) = self._session.run([self._output], {self._input: history})
-        except Exception as error:  # ONNX Runtime raises types of its own, without a base
-            raise InputUnreadable(
-                f"the model fails: {str(error).splitlines()[0]}", where=self.name
-            ) from error
+            self._session.write({self._input: history})
+            future = self._session.run()[self._output]
+        except HostFailed:
+            raise
+        except GsgenError as error:
+            raise InputUnreadable(f"the model fails: {error.message}", where=self.name) from error
         shape = (self.steps, self._width)
         hint = f"Check it with: gsgen validate {for_shell(self.name)}"
         if future.shape != shape:

@@ -4,11 +4,14 @@ __all__ = ["PREDICTORS_BY_NAME", "predictor_maker"]
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from gsgen.contract.errors import UnknownName
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import ConstantVelocity, Predictor
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
 
 
 @final
@@ -31,11 +34,12 @@ PREDICTORS_BY_NAME: Final[dict[str, Callable[[], Predictor]]] = {
 }
 
 
-def predictor_maker(name: str) -> Callable[[], Predictor]:
+def predictor_maker(name: str, confined: "ConfinedModels | None" = None) -> Callable[[], Predictor]:
     """Return the factory of a named pose predictor, which makes one for each camera path.
 
     Args:
         name: One of :data:`PREDICTORS_BY_NAME`, or the path of an ONNX file of kind trajectory-predictor.
+        confined: Runs the file in a child process with limits; None runs it in this process.
 
     Raises:
         UnknownName: There is neither a predictor nor a file of that name.
@@ -48,4 +52,4 @@ def predictor_maker(name: str) -> Callable[[], Predictor]:
         raise UnknownName.among("predictor", name, PREDICTORS_BY_NAME)
     from gsgen.tiles.prediction.onnx_predictor import TrajectoryModel
 
-    return TrajectoryModel.open(path).predictor
+    return TrajectoryModel.open(path, confined).predictor

@@ -71,7 +71,10 @@ class GeneratorOpener:
         """Raise if a tile's ONNX generator breaks a validation rule or the tile's declaration."""
         entry, box = self._tree.tiles[tile], self._tree.box(tile)
         bounds = TileBounds(box, entry.transform)
-        _raise_first(list(check_neural_model(path, entry, neural, "model", bounds=bounds)))
+        limits = self._confined.limits if self._confined else None
+        _raise_first(
+            list(check_neural_model(path, entry, neural, "model", bounds=bounds, limits=limits))
+        )
 
 
 def _raise_first(violations: Sequence[Violation]) -> None:

@@ -1,6 +1,6 @@
 """Streams a tileset: takes a camera each frame, and returns tiles to upload and to draw."""
 
-__all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
+__all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session", "print_line"]
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -18,6 +18,7 @@ from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
 from gsgen.tiles.loading.quality_ladder import TileQualities, load_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
+from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.prediction.predictors import predictor_maker
 from gsgen.tiles.prediction.prefetch import HorizonPrefetch
 from gsgen.tiles.selection.cut import Cut, cut_tree
@@ -121,6 +122,7 @@ def open_session(
     options: SessionOptions | None = None,
     *,
     report: Callable[[str], None] | None = None,
+    report_generators: Callable[[str], None] | None = None,
 ) -> "TilesetSession":
     """Open a tileset for streaming.
 
@@ -128,12 +130,15 @@ def open_session(
         source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
         options: How it is streamed.
         report: Receives a line for each tile that cannot be had; stderr where absent.
+        report_generators: Receives a line for each generator of a neural tile that cannot run;
+            ``report`` where absent.
 
     Raises:
         TilesetInvalid: The index is wrong.
     """
     options = options or SessionOptions()
-    predictor_maker(options.predictor)  # fails before anything is read
+    # A file that cannot be opened fails before anything else is read.
+    make_predictor = predictor_maker(options.predictor, options.confined)
     store, index = open_store(source, allow_origins=options.allow_origins)
     try:
         tileset = load_tileset(store, index, name=str(source))
@@ -156,18 +161,21 @@ def open_session(
             SystemClock(),
             options,
             sh_degree=reader.sh_degree,
-            report=report or _print_line,
+            report=report or print_line,
+            report_generators=report_generators,
             store=store,
             up=tileset.up,
             read_model=reader.read_model,
             qualities=qualities,
+            make_predictor=make_predictor,
         )
     except BaseException:
         store.close()
         raise
 
 
-def _print_line(line: str) -> None:
+def print_line(line: str) -> None:
+    """Print a line about a tile to standard error."""
     sys.stderr.write(f"gsgen: {printable(line)}\n")
 
 
@@ -191,10 +199,12 @@ class TilesetSession:
         options: How the tileset is streamed.
         sh_degree: Of all arrivals.
         report: Receives a line for each tile that cannot be had.
+        report_generators: Receives a line for each generator that cannot run; None for ``report``.
         store: Closed with the session.
         up: Upward direction in the root frame; that of splat files if None.
         read_model: Reads the model of a neural tile; None to draw the splats of these tiles.
         qualities: The files of tiles at several qualities; None for a single quality.
+        make_predictor: Makes the predictor of camera poses; None for that of the options.
     """
 
     def __init__(
@@ -205,11 +215,13 @@ class TilesetSession:
         options: SessionOptions,
         *,
         sh_degree: int,
-        report: Callable[[str], None] = _print_line,
+        report: Callable[[str], None] = print_line,
+        report_generators: Callable[[str], None] | None = None,
         store: Store | None = None,
         up: Float64[np.ndarray, " 3"] | None = None,
         read_model: ModelReader | None = None,
         qualities: TileQualities | None = None,
+        make_predictor: Callable[[], Predictor] | None = None,
     ) -> None:
         self._qualities = qualities
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
@@ -218,11 +230,11 @@ class TilesetSession:
         self.pool_slots = -(-options.max_splats // options.slot_rows)
         self._options, self._link, self._clock = options, link, clock
         self._report, self._store = report, store
+        self._report_generators = report_generators or report
         self._recorder = MetricsRecorder(tree.parent, tree.size)
         self._frustum: Frustum | None = None
-        prefetch = HorizonPrefetch(
-            tree, predictor_maker(options.predictor)(), self._frustum_at, options.max_error
-        )
+        make_predictor = make_predictor or predictor_maker(options.predictor, options.confined)
+        prefetch = HorizonPrefetch(tree, make_predictor(), self._frustum_at, options.max_error)
         self._prefetch = prefetch
         self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
         self._log = EventLog(options.log) if options.log else None
@@ -260,7 +272,7 @@ class TilesetSession:
             ),
             sh_degree=self.sh_degree,
             max_rows=self.pool_slots * self.slot_rows,
-            report=self._report,
+            report=self._report_generators,
             log=self._log,
         )
 

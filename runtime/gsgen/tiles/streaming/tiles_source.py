@@ -25,7 +25,7 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
-from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
+from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session, print_line
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 
 if TYPE_CHECKING:
@@ -279,7 +279,9 @@ def open_stream(
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     # Frames that wait for their tiles count those that fail, see `TilesSource.shortfall`.
-    session = open_session(path, options, report=_ignore_line if settings.wait else None)
+    session = open_session(
+        path, options, report=_ignore_line if settings.wait else None, report_generators=print_line
+    )
     tree = session.tree
     up = session.up
     reach = float(np.linalg.norm(np.abs(tree.half_axes[0]).sum(axis=0)))

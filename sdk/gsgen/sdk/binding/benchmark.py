@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.limits import Limits
 
@@ -45,7 +46,8 @@ def time_frames(
     frames: int = 100,
     sizes: Mapping[str, int] | None = None,
     capture: bool = True,
-    seconds: float = 300,
+    limits: Limits | None = None,
+    trusted: bool = False,
 ) -> BenchmarkResult:
     """Run a model on an execution provider for many frames, and return the measured frame times.
 
@@ -55,8 +57,10 @@ def time_frames(
         frames: Number of measured frames.
         sizes: Symbol → size of a dimension that the model leaves open.
         capture: Capture and replay frames if model and provider allow it.
-        seconds: Time limit of the child process.
+        limits: Time and memory of the child process; None for five minutes and the usual memory.
+        trusted: Do not confine the child process, whose time alone is limited.
     """
+    limits = (limits or Limits(seconds=300)).for_model(open_model(model).weight_bytes)
     options: dict[str, Any] = {
         "provider": provider,
         "frames": frames,
@@ -64,7 +68,7 @@ def time_frames(
         "capture": capture,
     }
     with execute(
-        model, [], [], Limits(seconds), _WORKER, has_gpu=provider != "cpu", **options
+        model, [], [], limits, _WORKER, has_gpu=provider != "cpu", trusted=trusted, **options
     ) as execution:
         state, reason, facts = _outcome(execution)
         return BenchmarkResult(

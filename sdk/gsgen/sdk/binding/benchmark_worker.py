@@ -12,6 +12,7 @@ import numpy as np
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.sandbox_worker import Emit, run_worker
+from gsgen.contract.process.limits import DRIVER_BYTES, limit_memory
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
 from gsgen.sdk.binding.session import FrameSession
@@ -44,6 +45,8 @@ def _error_line(error: GsgenError) -> str:
 
 def _measure(job: dict[str, Any]) -> dict[str, Any]:
     warnings.simplefilter("ignore")  # the facts contain their content
+    if not job["trusted"] and job["provider"] != "cuda":  # CUDA reserves addresses for a whole GPU
+        limit_memory(job["memory"] + DRIVER_BYTES * (job["provider"] != "cpu"))
     import onnxruntime  # noqa: F401 (the first frame does not include loading the library)
 
     start = time.perf_counter()

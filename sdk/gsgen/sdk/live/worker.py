@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, run_worker
-from gsgen.contract.process.limits import limit_memory
+from gsgen.contract.process.limits import DRIVER_BYTES, limit_memory
 from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
@@ -30,8 +30,6 @@ from gsgen.sdk.binding.providers.selection import (
 )
 from gsgen.sdk.binding.providers.webgpu import DRIVER_HINT, AdapterMissing, find_adapter
 
-# Memory for drivers and shader compilers, in addition to the model's.
-_DRIVER_BYTES = 2 << 30
 # The Vulkan loader logs the opened device if VK_LOADER_DEBUG is set.
 _OPENED_DEVICE = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE_ADAPTER = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
@@ -57,7 +55,7 @@ def _run_job(folder: Path, job: dict[str, Any], emit: Emit) -> int:
         onnxruntime.set_default_logger_severity(3)
         opener = _find_provider(emit)
         _try_adapter(opener, folder, emit, half=job["half"])
-        limit_memory(job["memory"] + _DRIVER_BYTES)
+        limit_memory(job["memory"] + DRIVER_BYTES)
         if job["probes"]:
             _FrameRunner(folder, job, emit, opener).run()
     except AdapterMissing as error:

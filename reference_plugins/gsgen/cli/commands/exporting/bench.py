@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.commands.drawing.options import ModelMemory, Trust, model_limits
 from gsgen.cli.model_options import AsJson, Sizes, exit_at_error, sizes_of
 from gsgen.cli.output import echo_json
 from gsgen.contract._safe_text import for_json, printable
 from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:
+    from gsgen.contract.process.limits import Limits
     from gsgen.sdk.binding.benchmark import BenchmarkResult
 
 _MILLION_ROWS = 1e6
@@ -42,6 +44,8 @@ def bench(
     timeout: Annotated[
         float, typer.Option(help="Time limit in seconds for one model on one provider.", min=1)
     ] = 300,
+    memory: ModelMemory = None,
+    trust: Trust = False,
     as_json: AsJson = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
@@ -65,7 +69,10 @@ def bench(
     sizes = sizes_of(size)
     providers = [str(name) for name in provider or installed_providers()]
     jobs = [(model, provider_name) for model in models for provider_name in providers]
-    results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)
+    limits = model_limits(timeout, memory, trust=False)
+    results = _measure(
+        jobs, frames=frames, sizes=sizes, capture=capture, limits=limits, trusted=trust
+    )
     document = _document(results)
     if output is not None:
         write_text(output, for_json(document) + "\n")
@@ -93,7 +100,8 @@ def _measure(
     frames: int,
     sizes: dict[str, int],
     capture: bool,
-    seconds: float,
+    limits: "Limits | None",
+    trusted: bool,
 ) -> "list[BenchmarkResult]":
     from gsgen.cli.progress import clear, progress
     from gsgen.sdk.binding.benchmark import time_frames
@@ -104,7 +112,13 @@ def _measure(
             progress(f"measuring {model.name} on {provider}, {number} of {len(jobs)}")
             results.append(
                 time_frames(
-                    model, provider, frames=frames, sizes=sizes, capture=capture, seconds=seconds
+                    model,
+                    provider,
+                    frames=frames,
+                    sizes=sizes,
+                    capture=capture,
+                    limits=limits,
+                    trusted=trusted,
                 )
             )
     finally:

@@ -2,6 +2,7 @@
 
 __all__ = ["simulate"]
 
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -81,9 +82,11 @@ def simulate(
     Planner and predictor are those of the viewer. Equal arguments give equal results. Exits 0,
     2 for wrong options, or 4 if a file cannot be read.
     """
+    from gsgen.cli.commands.drawing.opening import confined_models
     from gsgen.contract.process.atomic_files import refuse_itself
+    from gsgen.contract.process.limits import FRAME_SECONDS, Limits
     from gsgen.tiles.loading.tileset_loader import load_tileset
-    from gsgen.tiles.prediction.predictors import predictor_maker
+    from gsgen.tiles.prediction.predictors import PREDICTORS_BY_NAME, predictor_maker
     from gsgen.tiles.prediction.prefetch import ViewSettings
     from gsgen.tiles.selection.tile_tree import TileTree
     from gsgen.tiles.simulate import client
@@ -96,7 +99,9 @@ def simulate(
             raise ConfigInvalid(f"is {value}, expected above 0 and below {most:g}", where=name)
     if plot is not None:
         refuse_itself(plot, [Path(tileset), Path(predictor), path, network])
-    make_predictor = predictor_maker(predictor)
+    is_model = predictor not in PREDICTORS_BY_NAME
+    models = [Path(predictor)] if is_model else []
+    confined = confined_models((), models, Limits(seconds=FRAME_SECONDS))
     poses, trace = read_path(path), read_trace(network)
     store, index = open_store(tileset)
     with store:
@@ -104,19 +109,21 @@ def simulate(
     policies = (
         client.PREFETCH_POLICIES if policy is PolicyName.ALL else (client.policy_named(policy),)
     )
-    simulations = [
-        client.simulate(
-            tree,
-            poses,
-            trace,
-            policy=entry,
-            predictor=make_predictor,
-            view=ViewSettings(width=width, height=height, fov_y=fov, max_error=sse),
-            rtt=rtt / 1000,
-            connections=connections,
-        )
-        for entry in policies
-    ]
+    with confined or nullcontext():
+        make_predictor = predictor_maker(predictor, confined)
+        simulations = [
+            client.simulate(
+                tree,
+                poses,
+                trace,
+                policy=entry,
+                predictor=make_predictor,
+                view=ViewSettings(width=width, height=height, fov_y=fov, max_error=sse),
+                rtt=rtt / 1000,
+                connections=connections,
+            )
+            for entry in policies
+        ]
     if plot is not None:
         write_plot(simulations, plot)
     if not as_json:

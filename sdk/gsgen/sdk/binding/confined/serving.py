@@ -12,7 +12,12 @@ from typing import Any, final
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.sandbox_worker import error_line
 from gsgen.contract.process.child_status import memory_refused
-from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
+from gsgen.contract.process.limits import (
+    DRIVER_BYTES,
+    is_out_of_memory,
+    limit_memory,
+    limit_processor_time,
+)
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.sdk.binding.bound_session import translate_error
 from gsgen.sdk.binding.confined.messages import Message, message_of, receive, send
@@ -21,9 +26,6 @@ from gsgen.sdk.binding.model_facts import read_model_facts
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed
 from gsgen.sdk.binding.warm_up import WarmSession, lock_of, open_warm
-
-# Memory for drivers and shader compilers, in addition to the model's.
-_DRIVER_BYTES = 2 << 30
 
 
 def serve_sessions(control: socket.socket, job: Message) -> None:
@@ -105,7 +107,7 @@ class _Session:
     def _limit_memory(self, provider: str) -> None:
         """Limit the memory of this process, unless CUDA reserves addresses for all of a GPU's."""
         if provider != "cuda":
-            limit_memory(self._job["memory"] + _DRIVER_BYTES * (provider == "webgpu"))
+            limit_memory(self._job["memory"] + DRIVER_BYTES * (provider == "webgpu"))
 
     def _describe(self, session: WarmSession) -> Message:
         places = {
