@@ -15,13 +15,18 @@ from PIL import Image
 from gsgen.contract.fetching import client
 from gsgen.formats import write_ply
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.serving.faults import NetworkFaults, parse_failure
+from gsgen.tiles.streaming import tiles_source
 from gsgen.tiles.streaming.fetch import FetchLink, OnBytes
 from gsgen.tiles.streaming.session import SessionOptions, open_session
+from gsgen.tiles.streaming.tiles_source import open_stream
 from support.commands import gsgen_here
 from support.tiles import foreign_tiles as foreign
 from support.tiles.builds import build
+from support.tiles.serving import served
 from support.tiles.tile_scenes import scattered
 from support.web.hostile_server import ANSWERS, hostile_server
 
@@ -277,3 +282,19 @@ def test_size_that_a_server_does_not_tell_is_no_fault_of_the_tileset(name: str) 
             frame = session.frame(view)
         assert frame.absent == (0,)
         assert server.address_of("bad.glb") in session.first_failure
+
+
+@pytest.mark.parametrize("failure", ["503", "cut", "stall"])
+def test_picture_is_complete_although_a_third_of_the_answers_fail(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: str
+) -> None:
+    monkeypatch.setattr(tiles_source, "_RETRY_SECONDS", 0.1)
+    faults = NetworkFaults(failures=(), seed=5)
+    with served(town, faults) as address:
+        settings = StreamSettings(max_error=0.1, cache_bytes=0)
+        source = open_stream(Path(f"{address}tileset.json"), settings=settings)
+        faults.failures = (parse_failure(f"{failure}:0.3"),)
+        source.update(Camera.look_at((0, 0, 400), (0, 0, 0), up=(0, 1, 0), width=64, height=48), {})
+        assert source.shortfall is None
+        assert source.count > 0
+        source.close()

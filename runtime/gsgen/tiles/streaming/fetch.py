@@ -20,6 +20,7 @@ Fetched = TypeVar("Fetched")
 Decoded = TypeVar("Decoded")
 RETRY_AFTER: Final = 30.0
 """Seconds after which a file that could not be had for now is requested again, at first."""
+_MOST_AWAITED_FAILURES: Final = 3  # of a tile for which a picture still waits
 _DECODER_THREADS = 2  # threads that decode at once: more would take frames their time
 
 OnBytes = Callable[[int], None]
@@ -216,10 +217,12 @@ class FailedTiles:
 
     Args:
         count: Number of tiles.
+        retry_seconds: Until the first retry of a tile.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, retry_seconds: float) -> None:
         self.first_cause = ""
+        self._retry_seconds = retry_seconds
         self._retry_at = np.full(count, -math.inf)
         self._failures = np.zeros(count, np.int64)
 
@@ -229,7 +232,7 @@ class FailedTiles:
         self.first_cause = self.first_cause or text
         delay = math.inf
         if isinstance(error, StoreUnavailable):
-            delay = RETRY_AFTER * 2.0 ** int(self._failures[tile])
+            delay = self._retry_seconds * 2.0 ** int(self._failures[tile])
         self._failures[tile] += 1
         self._retry_at[tile] = time + delay
         return text
@@ -237,3 +240,9 @@ class FailedTiles:
     def mask(self, time: float) -> Bool[np.ndarray, " n"]:
         """Return the mask of the tiles that are not requested at a time."""
         return self._retry_at > time
+
+    @property
+    def is_awaited(self) -> Bool[np.ndarray, " n"]:
+        """The mask of the tiles that are requested again, and failed only a few times so far."""
+        is_repeated = np.isfinite(self._retry_at)
+        return np.asarray(is_repeated & (self._failures <= _MOST_AWAITED_FAILURES))

@@ -32,7 +32,7 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
-from gsgen.tiles.streaming.fetch import FailedTiles, FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import RETRY_AFTER, FailedTiles, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
@@ -74,6 +74,7 @@ class SessionOptions:
         confined: Runs models in child processes with limits; None runs them in this process.
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
+        retry_seconds: Until a tile that a server did not give is requested again, at first.
     """
 
     max_error: float = 16.0
@@ -91,6 +92,7 @@ class SessionOptions:
     provider: str = "cpu"
     confined: "ConfinedModels | None" = None
     runs_per_second: float = RUNS_PER_SECOND
+    retry_seconds: float = RETRY_AFTER
 
 
 class ArrivalLink(Link, Protocol):
@@ -250,7 +252,7 @@ class TilesetSession:
         self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded
-        self._failed = FailedTiles(len(tree))
+        self._failed = FailedTiles(len(tree), options.retry_seconds)
         self._started: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
@@ -332,6 +334,7 @@ class TilesetSession:
                 for tile in np.flatnonzero((fades > 0) & ~self._is_contentless).tolist()
             ),
             missing=missing,
+            retried=int((cut.selected & is_failed & self._failed.is_awaited).sum()),
             absent=tuple(np.flatnonzero(cut.selected & (is_failed | ~is_available)).tolist()),
             is_complete=missing == 0
             and self._fades.is_settled

@@ -109,6 +109,7 @@ class SessionFrame:
         arrivals: Tiles to upload, whole or in part, in this order.
         drawn: Tiles to draw; ascending keys.
         missing: How many tiles the camera wants that are not resident, and may still come.
+        retried: How many tiles the camera wants whose requests failed, and are soon repeated.
         absent: Keys of the tiles that the camera wants and that are not resident at their finest,
             those that cannot be had too.
         is_complete: Whether everything that the camera wants is resident, at the finest quality,
@@ -119,6 +120,7 @@ class SessionFrame:
     arrivals: tuple[TileArrival, ...]
     drawn: tuple[DrawnTile, ...]
     missing: int
+    retried: int = 0
     absent: tuple[int, ...] = ()
     is_complete: bool
 

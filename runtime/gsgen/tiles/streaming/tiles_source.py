@@ -24,6 +24,7 @@ from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
+from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session, print_line
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
 
 _POLL_SECONDS: Final = 0.2  # seconds between two looks at what arrived
+_RETRY_SECONDS: Final = 2.0  # where frames wait for all tiles
 _TIME: Final = "time"
 
 
@@ -91,8 +93,8 @@ class TilesSource(Source):
         frustum = Frustum.from_camera(self._camera)
         deadline = time.monotonic() + self._must_wait
         frame = self._take(frustum, self._camera)
-        while self.is_streaming and (left := deadline - time.monotonic()) > 0:
-            if frame.is_complete and self._neural:
+        while (self.is_streaming or frame.retried) and (left := deadline - time.monotonic()) > 0:
+            if frame.is_complete and not frame.retried and self._neural:
                 self._neural.wait(min(left, _POLL_SECONDS))
             else:
                 self._session.wait(min(left, _POLL_SECONDS))
@@ -277,6 +279,7 @@ def open_stream(
         provider=provider,
         confined=confined,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
+        retry_seconds=_RETRY_SECONDS if settings.wait else RETRY_AFTER,
     )
     # Frames that wait for their tiles count those that fail, see `TilesSource.shortfall`.
     session = open_session(
