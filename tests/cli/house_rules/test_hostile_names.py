@@ -113,7 +113,9 @@ def test_printed_text_controls_no_terminal(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(text=st.text(min_size=1, max_size=20))
 def test_printed_text_controls_no_terminal_for_any_name(
     name: str, text: str, tmp_path: Path
