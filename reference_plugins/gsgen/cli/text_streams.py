@@ -50,7 +50,7 @@ class SafeStream:
 
     def __init__(self, stream: TextIO) -> None:
         self.unescaped = stream
-        self._starts_line = True
+        self._line = ""  # the current line; of a long one, its last characters
         self._has_colours = stream.isatty() or any(map(os.environ.get, _COLOUR_VARIABLES))
 
     def write(self, text: str) -> int:
@@ -62,10 +62,17 @@ class SafeStream:
         return len(text)
 
     def _escape(self, text: str) -> str:
-        safe_text = for_terminal(text, starts_line=self._starts_line)
-        last_line = text.rpartition("\n")[2]
-        is_blank = not last_line or last_line.isspace()
-        self._starts_line = is_blank and (self._starts_line or "\n" in text)
+        first = text[:1]
+        # A command of GitHub may come in pieces: `:` and `:`, or `##` and `[`.
+        completes_command = (first == ":" and self._line.strip() == ":") or (
+            f"{self._line[-2:]}{text[:2]}".find("##[") in (0, 1)
+        )
+        prefix = f"\\x{ord(first):x}" if completes_command else ""
+        remainder = text[1:] if completes_command else text
+        starts_line = not self._line.strip() and not prefix
+        safe_text = prefix + for_terminal(remainder, starts_line=starts_line)
+        line = f"{self._line}{text}".rpartition("\n")[2]
+        self._line = line if line.strip() in ("", ":") else f"…{line[-2:]}"
         return safe_text
 
     def writelines(self, lines: Iterable[str]) -> None:
