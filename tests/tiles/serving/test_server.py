@@ -13,6 +13,7 @@ import pytest
 
 from gsgen.runtime.web import local_server
 from gsgen.tiles.serving.server import TileServer, serve_folder
+from support.commands import gsgen_here
 
 BODY = bytes(np.random.default_rng(0).integers(0, 256, 300_000, dtype=np.uint8))
 
@@ -270,3 +271,19 @@ def test_log_has_no_control_characters(folder: Path) -> None:
         thread.join()
     assert lines
     assert all(line.isprintable() for line in lines)
+
+
+def test_file_that_may_not_be_read_is_not_found(
+    folder: Path, server: TileServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, mode: str) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    assert ask(server, "/t/a.glb").status == 404
+
+
+def test_malformed_cors_origin_is_named(folder: Path) -> None:
+    completed = gsgen_here("tiles", "serve", folder, "--port", "0", "--cors", "viewer.example")
+    assert completed.code == 2
+    assert "--cors: 'viewer.example' is not an origin" in completed.err

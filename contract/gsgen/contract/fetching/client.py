@@ -21,8 +21,8 @@ from gsgen.contract.fetching.response_body import body_chunks
 from gsgen.contract.fetching.responses import FilePart, check_status
 
 _SECONDS: Final = 60.0  # for one file, all attempts together
-_STALL_SECONDS: Final = 10.0  # for the headers, and for each kilobyte after them
-_RETRIES: Final = 5
+_STALL_SECONDS: Final = 8.0  # for the headers, and for each kilobyte after them
+_RETRIES: Final = 4
 _BACKOFF_SECONDS: Final = 0.25
 _MAX_REDIRECTS: Final = 5
 _REDIRECTS: Final = (301, 302, 303, 307, 308)
@@ -70,10 +70,10 @@ def fetch(
 class WebClient:
     """Reads files of one origin over connections that stay open; safe to use from many threads.
 
-    Errors of the server, connections that break and bodies that are cut short are tried five
+    Errors of the server, connections that break and bodies that are cut short are tried four
     times more, at growing distance, or when ``Retry-After`` says so. All attempts for a file end
     at one deadline, and an attempt ends when the headers, or a kilobyte after them, take more than
-    ten seconds. Redirects are followed within the origin, and to the allowed ones. Bodies of
+    eight seconds. Redirects are followed within the origin, and to the allowed ones. Bodies of
     errors are not read.
 
     Args:

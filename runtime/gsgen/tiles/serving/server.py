@@ -2,6 +2,7 @@
 
 __all__ = ["TileServer", "serve_folder"]
 
+import os
 import re
 import stat
 from collections.abc import Callable, Collection, Iterator
@@ -115,11 +116,16 @@ class _Handler(LocalHandler):
             faults.sleep(_STALL_SECONDS)
             self.close_connection = True
             return
-        file = self._file()
-        if file is None:
+        stream = self._open_file()
+        if stream is None:
             self._refuse(HTTPStatus.NOT_FOUND, with_body=with_body)
             return
-        status = file.stat()
+        with stream:
+            self._answer_from(stream, with_body=with_body, cut=failure == "cut")
+
+    def _answer_from(self, stream: BinaryIO, *, with_body: bool, cut: bool) -> None:
+        """Answer a request from an open file."""
+        file, status = Path(stream.name), os.fstat(stream.fileno())
         etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
         if etag in (self.headers.get("If-None-Match") or ""):
             self._head(HTTPStatus.NOT_MODIFIED, file, etag, [])
@@ -140,10 +146,10 @@ class _Handler(LocalHandler):
         code = HTTPStatus.PARTIAL_CONTENT if is_partial else HTTPStatus.OK
         self._head(code, file, etag, headers)
         if with_body:
-            self._send_body(file, span, cut=failure == "cut")
+            self._send_body(stream, span, cut=cut)
 
-    def _file(self) -> Path | None:
-        """Return the requested file; None if it is hidden, or not a regular file in the folder."""
+    def _open_file(self) -> BinaryIO | None:
+        """Open the requested file; None if it is hidden, or not a readable file in the folder."""
         path = unquote(urlsplit(self.path).path, errors="surrogateescape")
         parts = (path.removeprefix("/") or "index.html").split("/")
         if not all(map(_is_served, parts)):
@@ -152,9 +158,10 @@ class _Handler(LocalHandler):
             file = self.server.folder.joinpath(*parts)
             resolved = file.resolve().relative_to(self.server.folder)
             is_regular = stat.S_ISREG(file.stat().st_mode)
+            is_open = is_regular and all(map(_is_served, resolved.parts))
+            return file.open("rb") if is_open else None
         except (OSError, ValueError):
             return None
-        return file if is_regular and all(map(_is_served, resolved.parts)) else None
 
     def _span(self, size: int, etag: str) -> _ByteSpan | None:
         """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
@@ -206,18 +213,22 @@ class _Handler(LocalHandler):
             self.wfile.write(body)
         self._log(status)
 
-    def _send_body(self, file: Path, span: _ByteSpan, *, cut: bool) -> None:
-        size = span.size // 2 if cut else span.size
-        self.close_connection = self.close_connection or cut
-        with file.open("rb") as stream:
-            if self.server.faults.bytes_per_second is None and size > self.wbufsize:
-                self.wfile.flush()
-                self.connection.sendfile(stream, span.start, size)
-                return
+    def _send_body(self, stream: BinaryIO, span: _ByteSpan, *, cut: bool) -> None:
+        size, sent = span.size // 2 if cut else span.size, 0
+        is_fast = self.server.faults.bytes_per_second is None
+        if is_fast and size > self.wbufsize:
+            self.wfile.flush()
+            sent = self.connection.sendfile(stream, span.start, size)
+        else:
             stream.seek(span.start)
             for chunk in _chunks(stream, size):
                 self.server.faults.wait_to_send(len(chunk))
                 self.wfile.write(chunk)
+                sent += len(chunk)
+                if not is_fast:
+                    self.wfile.flush()
+        if sent < span.size:  # cut, or the file was cut meanwhile
+            self.close_connection = True
 
 
 def _is_served(name: str) -> bool:

@@ -51,6 +51,7 @@ def serve(
     Prints the address first. Exits 130 at Ctrl-C, 2 for wrong options or a port that is taken,
     4 if there is no such folder.
     """
+    from gsgen.contract.fetching.addresses import parse_origin
     from gsgen.tiles.serving.faults import NetworkFaults, parse_failure
     from gsgen.tiles.serving.server import serve_folder
 
@@ -71,7 +72,10 @@ def serve(
             port=port,
             faults=faults,
             log=_print_answer if verbose else _print_nothing,
-            cors=cors or (),
+            cors=[
+                origin if origin == "*" else str(parse_origin(origin, "--cors"))
+                for origin in cors or ()
+            ],
         )
     except OSError as error:
         raise ConfigInvalid(
