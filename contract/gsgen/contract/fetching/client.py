@@ -21,6 +21,7 @@ from gsgen.contract.fetching.response_body import body_chunks
 from gsgen.contract.fetching.responses import FilePart, check_status
 
 _SECONDS: Final = 60.0  # for one file, all attempts together
+_LARGE_FILE_SECONDS: Final = 3600.0
 _STALL_SECONDS: Final = 8.0  # for the headers, and for each kilobyte after them
 _RETRIES: Final = 4
 _BACKOFF_SECONDS: Final = 0.25
@@ -100,8 +101,8 @@ class WebClient:
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }
         self._headers = dict(headers or {})
-        self._seconds = fetch_seconds(_SECONDS) if seconds is None else seconds
-        self._stall = min(self._seconds, _STALL_SECONDS)
+        self._seconds = seconds
+        self._stall = min(self.deadline().seconds, _STALL_SECONDS)
         self._pool = ConnectionPool()
 
     def size(self, address: str) -> int:
@@ -159,19 +160,22 @@ class WebClient:
         self._copy(part, data, on_bytes, deadline or self.deadline())
         return data.getvalue()
 
-    def copy(self, address: str, into: BinaryIO, *, max_bytes: int) -> None:
+    def copy(
+        self, address: str, into: BinaryIO, *, max_bytes: int, deadline: Deadline | None = None
+    ) -> None:
         """Copy a file of a web server into an empty file on disk.
 
         Args:
             address: Of the file.
             into: Receives the bytes; emptied before each attempt.
             max_bytes: More is an error.
+            deadline: Of several files together; by default each has its own.
 
         Raises:
             FetchFailed: The file cannot be had; the subclass says why.
         """
         part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
-        self._copy(part, into, _ignore_bytes, self.deadline())
+        self._copy(part, into, _ignore_bytes, deadline or self.deadline())
 
     def _copy(self, part: FilePart, into: BinaryIO, on_bytes: OnBytes, deadline: Deadline) -> None:
         def attempt() -> None:
@@ -200,9 +204,15 @@ class WebClient:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def deadline(self) -> Deadline:
-        """Return the deadline of a file that is requested now."""
-        return Deadline(self._seconds)
+    def deadline(self, *, is_large: bool = False) -> Deadline:
+        """Return the deadline of a file that is requested now.
+
+        Args:
+            is_large: Whether it is a model or a file of many splats, which may take an hour where
+                the user sets no time.
+        """
+        default = _LARGE_FILE_SECONDS if is_large else _SECONDS
+        return Deadline(fetch_seconds(default) if self._seconds is None else self._seconds)
 
     def _with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
         """Try a request again after transient failures, until the deadline of its file."""
@@ -316,7 +326,7 @@ class WebClient:
             yield
         except TimeoutError as error:
             if deadline.remaining <= 0:
-                text = f"the file did not come within {self._seconds:g} s"
+                text = f"the file did not come within {deadline.seconds:g} s"
             elif has_begun:
                 text = f"less than a kilobyte came within {self._stall:g} s"
             else:

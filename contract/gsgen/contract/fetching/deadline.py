@@ -45,9 +45,14 @@ def fetch_seconds(default: float) -> float:
 
 @final
 class Deadline:
-    """A moment by which something has to be done, some seconds from now."""
+    """A moment by which something has to be done, some seconds from now.
+
+    Attributes:
+        seconds: From the beginning to the deadline.
+    """
 
     def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
         self._end = time.monotonic() + seconds
 
     @property

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from gsgen.contract.fetching.deadline import fetch_seconds
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import FormatError, codec_of_suffix, open_splats
 from gsgen.formats.shared.errors import HeaderMalformed, quoted
@@ -20,7 +19,6 @@ from gsgen.tiles.stores.http_store import HttpStore
 MAX_DOWNLOAD: Final = 8 << 30
 """The most bytes of a file that are downloaded."""
 _FILE_NAME: Final = re.compile(r"[^/\\\x00-\x1f\ud800-\udfff]{1,200}")
-_SECONDS: Final = 3600.0  # for a whole file of splats, which may be large
 
 
 def names_one_file(source: str | os.PathLike[str]) -> bool:
@@ -42,12 +40,12 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
     """
     address = _address(source)
     name = unquote(posixpath.basename(urlsplit(address).path))
-    with temporary_folder() as folder, _open_store(address) as store:
+    with temporary_folder() as folder, HttpStore(address) as store:
 
         def fetch(name: str) -> Path:
             file = folder / posixpath.basename(name)
             with file.open("wb") as stream:
-                store.save(name, stream, limit=MAX_DOWNLOAD)
+                store.for_large_file().save(name, stream, limit=MAX_DOWNLOAD)
             return file
 
         try:
@@ -65,10 +63,6 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
         except FormatError as error:
             error.path = address
             raise
-
-
-def _open_store(address: str) -> HttpStore:
-    return HttpStore(address, timeout=fetch_seconds(_SECONDS))
 
 
 def _address(source: str | os.PathLike[str]) -> str:

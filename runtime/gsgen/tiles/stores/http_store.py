@@ -88,12 +88,19 @@ class HttpStore(Store):
     def save(self, path: str, into: BinaryIO, limit: int = MAX_FILE) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
         with _faults_at(self._location(path)):
-            self._client.copy(self._address(path), into, max_bytes=limit)
+            self._client.copy(self._address(path), into, max_bytes=limit, deadline=self._deadline)
 
     def for_one_tile(self) -> "HttpStore":
         """Return a view of the store whose reads together have the deadline of one file."""
+        return self._view(self._client.deadline())
+
+    def for_large_file(self) -> "HttpStore":
+        """Return a view of the store whose reads together have the deadline of one large file."""
+        return self._view(self._client.deadline(is_large=True))
+
+    def _view(self, deadline: Deadline) -> "HttpStore":
         view = copy(self)
-        view._deadline = self._client.deadline()
+        view._deadline = deadline
         return view
 
     def _address(self, path: str) -> str:

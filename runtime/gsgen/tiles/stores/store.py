@@ -51,6 +51,10 @@ class Store(ABC):
         """Return a view of the store whose reads together have the deadline of one file."""
         return self
 
+    def for_large_file(self) -> "Store":
+        """Return a view of the store whose reads together have the deadline of one large file."""
+        return self
+
     def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
         """Close the open files and connections of a file store."""
 

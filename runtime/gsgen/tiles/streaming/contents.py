@@ -93,7 +93,8 @@ class ContentReader:
         Raises:
             TilesetInvalid: The file is missing, or cannot be read.
         """
-        return self._file(self._store, neural.uri, lambda count: None, MAX_MODEL, neural.sha256)
+        store = self._store.for_large_file()
+        return self._file(store, neural.uri, lambda count: None, MAX_MODEL, neural.sha256)
 
     def _file(
         self,
