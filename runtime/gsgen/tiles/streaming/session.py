@@ -3,10 +3,10 @@
 __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session", "print_line"]
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -32,11 +32,17 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
-from gsgen.tiles.streaming.fetch import RETRY_AFTER, FailedTiles, FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import (
+    RETRY_AFTER,
+    ArrivalLink,
+    FailedTiles,
+    FetchLink,
+    FetchResult,
+)
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
-from gsgen.tiles.streaming.planner import Link, RequestPlanner
+from gsgen.tiles.streaming.planner import RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
 from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
 
@@ -93,30 +99,6 @@ class SessionOptions:
     confined: "ConfinedModels | None" = None
     runs_per_second: float = RUNS_PER_SECOND
     retry_seconds: float = RETRY_AFTER
-
-
-class ArrivalLink(Link, Protocol):
-    """Protocol of network links that deliver decoded tiles."""
-
-    def queue(self, tiles: Iterable[int]) -> None:
-        """Replace the queue of tiles; each is requested when a network connection is free."""
-        ...
-
-    def take_started(self) -> list[int]:
-        """Return the queued tiles whose requests began since the last call."""
-        ...
-
-    def poll(self) -> Sequence[FetchResult[TileArrival]]:
-        """Return the tiles that arrived or failed since the last call."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails, for a limited time."""
-        ...
-
-    def close(self) -> None:
-        """Cancel all tile requests of the network link."""
-        ...
 
 
 def open_session(
