@@ -18,7 +18,11 @@ from support.models.endless import endless
 
 TASKS = Path("/proc/self/task")
 LONG_SECONDS = 100  # seconds that a test waits for what must happen within a few
-EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+EXIT_CODES = {
+    signal.Signals[name]: code
+    for name, code in (("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129))
+    if hasattr(signal, name)  # Windows has no SIGHUP
+}
 BUSY_SECONDS = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
 
 
