@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conformance.pytest_runs import write
-from gsgen.conformance.evidence import Dumps, suspect_probes
+from gsgen.conformance.evidence import EvidenceDumps, suspect_probes
 from gsgen.conformance.rerun import find_probes, plan_model_runs, save_runs
 from gsgen.conformance.run import run_model
 from gsgen.contract.errors import UnknownName
@@ -18,7 +18,7 @@ from gsgen.contract.validation.settings import Settings
 
 def test_a_dump_that_is_too_large_is_announced_not_written(tmp_path: Path) -> None:
     (model,) = write(tmp_path, "opacity_is_logits")
-    run = run_model(model, Settings(), dumps=Dumps(tmp_path / "dumps", max_bytes=10))
+    run = run_model(model, Settings(), dumps=EvidenceDumps(tmp_path / "dumps", max_bytes=10))
     (evidence,) = run.evidence.values()
     assert evidence.dump is None
     assert evidence.withheld_bytes > 10

@@ -40,7 +40,7 @@ def test_exit_codes_are_those_that_scripts_rely_on():
         "USAGE": 2,
         "INTERNAL": 3,
         "UNREADABLE": 4,
-        "HUNG_UP": 129,
+        "TERMINAL_HANGUP": 129,
         "INTERRUPTED": 130,
         "TERMINATED": 143,
     }

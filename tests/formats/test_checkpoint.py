@@ -16,8 +16,8 @@ import torch
 from gsgen.formats import (
     ArchiveDamaged,
     FormatError,
+    FormatNotRecognised,
     FormatWarning,
-    NotRecognised,
     NotSupported,
     PropertyMissing,
     SizeExceeded,
@@ -202,7 +202,7 @@ def test_wrong_tensors_are_refused_by_name(tmp_path, changes, kind, words):
 
 def test_a_file_that_torch_did_not_write_is_refused(tmp_path):
     (tmp_path / "a.pt").write_bytes(pickle.dumps({"splats": 1}))
-    assert "torch 1.6" in refusal(tmp_path / "a.pt", NotRecognised)
+    assert "torch 1.6" in refusal(tmp_path / "a.pt", FormatNotRecognised)
 
 
 class Bomb:

@@ -9,8 +9,8 @@ import pytest
 from gsgen.formats import (
     FileTruncated,
     FormatError,
+    FormatNotRecognised,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     PropertyMissing,
     SizeExceeded,
@@ -159,7 +159,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("offset", "value", "kind", "text"),
     [
-        (0, b"GLTF", NotRecognised, "first bytes: 47 4c 54 46\n"),
+        (0, b"GLTF", FormatNotRecognised, "first bytes: 47 4c 54 46\n"),
         (4, b"\x01", NotSupported, "byte 4: the file has glTF version 1\nexpected version 2"),
         (
             8,

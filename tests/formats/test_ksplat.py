@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from gsgen.formats import (
     FileTruncated,
     FormatError,
+    FormatNotRecognised,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     ValueInvalid,
     read_ksplat,
@@ -98,7 +98,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
 @pytest.mark.parametrize(
     ("offset", "value", "kind", "text"),
     [
-        (0, b"\x01", NotRecognised, "first bytes: 01 01 00 00\n"),
+        (0, b"\x01", FormatNotRecognised, "first bytes: 01 01 00 00\n"),
         (1, b"\x02", NotSupported, "byte 1: the file has KSPLAT version 0.2\nexpected version 0.1"),
         (20, b"\x03", HeaderMalformed, "byte 20: the compression level is 3\nexpected 0, 1 or 2"),
         (

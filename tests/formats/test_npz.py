@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gsgen.formats import (
     ArchiveDamaged,
     FormatError,
-    NotRecognised,
+    FormatNotRecognised,
     NotSupported,
     PackedRows,
     PointCloud,
@@ -198,7 +198,7 @@ def test_arrays_that_do_not_fit_are_refused(tmp_path, arrays, kind, text):
 def test_a_file_that_is_no_archive_is_not_recognised(tmp_path):
     file = tmp_path / "bad.npz"
     file.write_bytes(b"\x93NUMPY\x01\x00")
-    assert refusal(file, NotRecognised) == (
+    assert refusal(file, FormatNotRecognised) == (
         "this is a NumPy array\nexpected 50 4b 03 04, the start of an .npz\n"
         "Save named arrays with `np.savez`."
     )

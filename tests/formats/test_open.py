@@ -9,7 +9,7 @@ import pytest
 from gsgen.formats import (
     FileTruncated,
     FileUnreadable,
-    NotRecognised,
+    FormatNotRecognised,
     PackedRows,
     PointCloud,
     Splats,
@@ -73,7 +73,7 @@ def test_every_format_is_told_by_its_content(tmp_path, name):
 def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
     file = tmp_path / "scene.gltf"
     file.write_text('{"asset": {"version": "2.0"}}')
-    with pytest.raises(NotRecognised, match="a JSON document with the keys asset"):
+    with pytest.raises(FormatNotRecognised, match="a JSON document with the keys asset"):
         open_splats(file)
 
 
@@ -83,7 +83,7 @@ def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
 def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, actual):
     file = tmp_path / "scene.abc"
     file.write_bytes(content)
-    with pytest.raises(NotRecognised) as caught:
+    with pytest.raises(FormatNotRecognised) as caught:
         open_splats(file)
     assert str(caught.value) == (
         f"{file}: first bytes: {actual}\n"
@@ -95,7 +95,7 @@ def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, actual):
 
 @pytest.mark.parametrize(
     ("suffix", "kind"),
-    [("splat", FileTruncated), ("ksplat", FileTruncated), ("ply", NotRecognised)],
+    [("splat", FileTruncated), ("ksplat", FileTruncated), ("ply", FormatNotRecognised)],
 )
 def test_unrecognised_file_is_explained_by_the_format_of_its_suffix(tmp_path, suffix, kind):
     file = tmp_path / f"scene.{suffix}"

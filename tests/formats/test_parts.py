@@ -48,7 +48,7 @@ def test_parts_give_the_bytes_of_a_conversion_in_memory(
 ) -> None:
     results = []
     for label, limit in (("whole", 1 << 29), ("parts", 0)):
-        monkeypatch.setattr(conversion, "MAX_COMPARED", limit)
+        monkeypatch.setattr(conversion, "MAX_COMPARED_VALUES", limit)
         target = source.with_name(f"{label}.{name}")
         parsed = [parse_edit(*edit) for edit in edits]
         results.append(convert(source, target, codec_named(name), sh_degree=degree, edits=parsed))
@@ -70,7 +70,7 @@ def test_harmonics_are_read_in_batches_of_one_size(
     """The sample that chooses a palette and the labels do not depend on the size of the parts."""
     monkeypatch.setattr("gsgen.formats.sog.write._CHUNK_ROWS", 16)
     monkeypatch.setattr("gsgen.formats.sog.palette._MAX_TRAINING_ROWS", 30)
-    monkeypatch.setattr(conversion, "MAX_COMPARED", {"whole": 1 << 29, "parts": 0}[name])
+    monkeypatch.setattr(conversion, "MAX_COMPARED_VALUES", {"whole": 1 << 29, "parts": 0}[name])
     result = convert(source, source.with_name("out.sog"), codec_named("sog"))
     splats = read_ply(source)
     order = sog_order(splats)

@@ -11,9 +11,9 @@ from gsgen.formats import (
     ArchiveDamaged,
     FileTruncated,
     FormatError,
+    FormatNotRecognised,
     FormatWarning,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     SizeExceeded,
     Splats,
@@ -332,10 +332,12 @@ def test_unpacked_size_beyond_the_limit_is_refused(tmp_path):
 
 
 def test_other_files_are_not_recognised(tmp_path):
-    assert refusal(tmp_path, gzip.compress(bytes(99)), NotRecognised).startswith(
+    assert refusal(tmp_path, gzip.compress(bytes(99)), FormatNotRecognised).startswith(
         "this is a file that begins with zeros"
     )
-    assert refusal(tmp_path, b"\xfe\xffcd" + bytes(60), NotRecognised).startswith("first bytes")
+    assert refusal(tmp_path, b"\xfe\xffcd" + bytes(60), FormatNotRecognised).startswith(
+        "first bytes"
+    )
 
 
 def test_damaged_data_is_refused(tmp_path):

@@ -249,7 +249,7 @@ def repack_reference(
 
 def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
     """Unpack Gaussians of 32 bytes each, as the shader ``page.wgsl`` does."""
-    rows = np.empty((len(packed), layout.ROW), np.float32)
+    rows = np.empty((len(packed), layout.ROW_LENGTH), np.float32)
     rows[:, :4] = packed[:, :4].view(np.float32)
     fixed_point = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / 32_767
     scale = packed[:, 7:].view(np.float32)

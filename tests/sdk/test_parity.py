@@ -224,7 +224,7 @@ def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:
     probes = [Probe(label=f"{t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9, 0.4)]
     single = EagerRuns(module, probes)[0]
     module.runs = 0
-    monkeypatch.setattr(eager_reference, "MAX_KEPT_BYTES", 2 * single.nbytes)
+    monkeypatch.setattr(eager_reference, "MAX_KEPT_OUTPUT_BYTES", 2 * single.nbytes)
     runs = EagerRuns(module, probes[:1], [single]).with_probes(probes)
     assert [reference.probe for reference in runs] == probes
     assert module.runs == 2

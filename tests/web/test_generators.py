@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.conformance.viewer_kit.case import KitCase
+from gsgen.conformance.viewer_kit.case import ViewerKitCase
 from gsgen.conformance.viewer_kit.write import kit_cases
 from support.web.pages import WebSite
 from web.generators import assert_same_pictures, described_frames, drawn_frames
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
 
 
 @pytest.mark.parametrize("case", kit_cases(), ids=lambda case: case.name)
-def test_a_page_draws_the_viewer_kit(case: KitCase, site: WebSite, tmp_path: Path) -> None:
+def test_a_page_draws_the_viewer_kit(case: ViewerKitCase, site: WebSite, tmp_path: Path) -> None:
     path = tmp_path / f"{case.name}.onnx"
     case.spec().write(path)
     result = drawn_frames(site, path, case.frames)

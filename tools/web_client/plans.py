@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.layout import ROW_LENGTH
 from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, appearance_stride
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
@@ -129,7 +129,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
     """
     device = Device(RecordingDevice())
     repacks = []
-    sources = [("float16", ROW, "rows")]
+    sources = [("float16", ROW_LENGTH, "rows")]
     sources += [
         (dtype, channels, "appearance")
         for dtype in ("float32", "float16")
@@ -138,7 +138,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
     for dtype, columns, target in sources:
         half = dtype == "float16"
         is_row = target == "rows"
-        words = ROW if is_row else (4 * appearance_stride(columns, is_half=half) or 2)
+        words = ROW_LENGTH if is_row else (4 * appearance_stride(columns, is_half=half) or 2)
         if columns * (2 if half else 4) == 4 * words:
             continue
         kernel = RepackRows(

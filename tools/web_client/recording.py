@@ -17,7 +17,7 @@ from typing import Final, final
 
 import numpy as np
 
-from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.layout import ROW_LENGTH
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, appearance_stride
@@ -161,7 +161,7 @@ def recorded_pages(
         capacities: The number of rows of each page.
         cells: The number of cells of each set, for weighted-sum rendering.
     """
-    rows = np.zeros((0, ROW), np.float32)
+    rows = np.zeros((0, ROW_LENGTH), np.float32)
     empty = SplatData(rows, np.zeros((0, 3), np.float32), "rgb", cells=rows)
     splat_set = SplatSet(empty, weighted=None if cells is None else WeightedSum(background=1))
     return [
@@ -170,13 +170,15 @@ def recorded_pages(
             Page(
                 first=0,
                 capacity=capacity,
-                rows=_page_buffer("rows", 4 * ROW * capacity),
+                rows=_page_buffer("rows", 4 * ROW_LENGTH * capacity),
                 appearance=_page_buffer(
                     "appearance", (16 * kind.appearance_stride or 8) * capacity
                 ),
                 is_half=kind.half,
                 appearance_stride=kind.appearance_stride,
-                cells=None if cells is None else RecordedBuffer("cells", 4 * ROW * cells[slot], 0),
+                cells=None
+                if cells is None
+                else RecordedBuffer("cells", 4 * ROW_LENGTH * cells[slot], 0),
             ),
         )
         for slot, (kind, capacity) in enumerate(zip(kinds, capacities, strict=True))
@@ -187,7 +189,9 @@ def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
 ) -> list[PlacedPage]:
     """Return placeholder GPU buffers of splat pools (streamed tiles): one per colour format."""
-    empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
+    empty = SplatSet(
+        SplatData(np.zeros((0, ROW_LENGTH), np.float32), np.zeros((0, 3), np.float32), "sh")
+    )
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
         # A pool has harmonics, of degree 0 three numbers.

@@ -1,6 +1,6 @@
 """Collects evidence of broken rules: a command that reproduces each, with inputs and outputs."""
 
-__all__ = ["Dumps", "Evidence", "collect_evidence", "suspect_probes"]
+__all__ = ["Evidence", "EvidenceDumps", "collect_evidence", "suspect_probes"]
 
 import os
 import re
@@ -56,7 +56,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Dumps:
+class EvidenceDumps:
     """The folder in which model inputs and outputs of failed test runs are saved.
 
     Attributes:
@@ -74,7 +74,7 @@ class Dumps:
 
 
 def collect_evidence(
-    path: Path, settings: Settings, cases: Iterable[Case], dumps: Dumps | None
+    path: Path, settings: Settings, cases: Iterable[Case], dumps: EvidenceDumps | None
 ) -> dict[str, Evidence]:
     """Return the evidence for each broken rule; save model inputs and outputs if a folder is set.
 
@@ -116,7 +116,12 @@ def collect_evidence(
 
 
 def _save_evidence(
-    dumps: Dumps | None, path: Path, settings: Settings, case: Case, command: str, runs: Runs
+    dumps: EvidenceDumps | None,
+    path: Path,
+    settings: Settings,
+    case: Case,
+    command: str,
+    runs: Runs,
 ) -> Evidence:
     if dumps is None:
         return Evidence(command)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsgen.conformance.cases import Case, CaseStatus, make_case
-from gsgen.conformance.evidence import Dumps, Evidence, collect_evidence
+from gsgen.conformance.evidence import Evidence, EvidenceDumps, collect_evidence
 from gsgen.conformance.expected import ExpectedFailure
 from gsgen.conformance.suite import DeclaredFeatures, plan_suites
 from gsgen.contract.model.inspected_model import inspect_model
@@ -20,7 +20,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
 # The results of a test other than passed.
-FAILING_STATUSES: tuple[CaseStatus, ...] = ("failed", "crashed")
+FAILED_CASE_STATUSES: tuple[CaseStatus, ...] = ("failed", "crashed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class ModelRun:
         evidence = self.evidence.get(case.rule.id)
         return (
             f"{case.text}\n{evidence}"
-            if evidence and case.status in FAILING_STATUSES
+            if evidence and case.status in FAILED_CASE_STATUSES
             else case.text
         )
 
@@ -75,7 +75,7 @@ def run_model(
     *,
     suites: Iterable[str] = (),
     expected: Iterable[ExpectedFailure] = (),
-    dumps: Dumps | None = None,
+    dumps: EvidenceDumps | None = None,
     progress: Progress = lambda words: None,
 ) -> ModelRun:
     """Validate a model once, and return the test case of every validation rule of its suites.
@@ -100,5 +100,5 @@ def run_model(
         if not suite_names or name in suite_names
         for rule in rules
     )
-    failing = [case for case in cases if case.status in FAILING_STATUSES]
+    failing = [case for case in cases if case.status in FAILED_CASE_STATUSES]
     return ModelRun(report, cases, collect_evidence(path, settings, failing, dumps))

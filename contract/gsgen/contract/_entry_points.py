@@ -7,7 +7,7 @@ It cannot end this process unnoticed: ``except Exception`` misses SystemExit, so
 __all__ = [
     "Extension",
     "ExtensionUnusable",
-    "ForeignExit",
+    "PluginExit",
     "find_extensions",
     "foreign_code",
     "registered_entry_points",
@@ -32,7 +32,7 @@ from typing import Any, Never
 
 from gsgen.contract.errors import ExitCode, GsgenError
 
-_REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
+_EXTRA_REQUIREMENT_PATTERN = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
 _MAX_REPR_LENGTH = 300
 
 
@@ -71,7 +71,7 @@ class Extension:
         """The distributions that the extension requires but that are not installed."""
         missing_packages = []
         for line in _requirements(self.owner) if self.point.extras else ():
-            match = _REQUIREMENT.match(line)
+            match = _EXTRA_REQUIREMENT_PATTERN.match(line)
             if match and match[2] in self.point.extras and not _is_installed(match[1]):
                 missing_packages.append(match[1])
         return tuple(missing_packages)
@@ -138,13 +138,13 @@ def _is_installed(name: str) -> bool:
     return True
 
 
-class ForeignExit(Exception):
+class PluginExit(Exception):
     """Raised if a third party's code tried to end this process; its cause is the original exception."""
 
 
 @contextmanager
 def foreign_code() -> Iterator[None]:
-    """Turn SystemExit and its like, and ``os._exit``, into ForeignExit within the block.
+    """Turn SystemExit and its like, and ``os._exit``, into PluginExit within the block.
 
     Ctrl-C still raises KeyboardInterrupt. ``os._exit`` ends other threads' processes as before, and
     those that the block forks.
@@ -154,7 +154,7 @@ def foreign_code() -> Iterator[None]:
     def refuse_exit(status: int) -> Never:
         if (os.getpid(), threading.get_ident()) != caller:
             exit_process(status)
-        raise ForeignExit(f"os._exit({status!r})")
+        raise PluginExit(f"os._exit({status!r})")
 
     os._exit = refuse_exit
     try:
@@ -162,7 +162,7 @@ def foreign_code() -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         raise
     except BaseException as error:
-        described = ForeignExit(short_repr(error)).with_traceback(error.__traceback__)
+        described = PluginExit(short_repr(error)).with_traceback(error.__traceback__)
         raise described from error
     finally:
         os._exit = exit_process
@@ -172,7 +172,7 @@ def short_repr(value: object) -> str:
     """Return the ``repr`` of a third party's object in one short line, even if its class fails."""
     try:
         with foreign_code():
-            text = str(value) if isinstance(value, ForeignExit) else repr(value)
+            text = str(value) if isinstance(value, PluginExit) else repr(value)
             text = " ".join(text.split())
     except Exception:  # the class is a third party's
         text = f"{object.__repr__(value)}, which cannot be described"

@@ -10,13 +10,13 @@ All of them derive from :class:`GsgenError`, so a caller needs one ``except`` cl
     │   └── CheckpointInvalid         a trained model, in gsgen.reference_plugins
     ├── ManifestInvalid               a manifest
     ├── LayoutMismatch                arrays that should be packed rows
-    ├── HostFailed                    this machine: no memory, a full disk, a killed process
+    ├── HostProcessFailed                    this machine: no memory, a full disk, a killed process
     ├── LevelUnavailable              a validation level, in gsgen.contract.rule
     ├── RecordingRefused              test vectors or reference images
     ├── FormatError                   a splat file, in gsgen.formats, with a subclass per cause
     ├── GeneratorInvalid, ExportFailed, ParityFailed, ExportRejected, RewriteFailed
     │                                 an export or a rewrite, in gsgen.sdk
-    ├── ProviderUnavailable, SessionClosed, FrameGone, InputInvalid, SizeUnknown, RunFailed
+    ├── ProviderUnavailable, SessionClosed, FrameExpired, InputInvalid, SizeUnknown, RunFailed
     │                                 a bound session, in gsgen.sdk.binding
     └── DeviceUnavailable, DisplayUnavailable, CapacityExceeded, SceneInvalid, SceneUnreadable
                                       drawing, in gsgen.runtime
@@ -28,7 +28,7 @@ __all__ = [
     "ConfigInvalid",
     "ExitCode",
     "GsgenError",
-    "HostFailed",
+    "HostProcessFailed",
     "InputUnreadable",
     "LayoutMismatch",
     "ManifestInvalid",
@@ -54,7 +54,7 @@ class ExitCode(IntEnum):
             written; nothing was decided.
         INTERNAL: A rule or gsgen itself crashed: a fault of gsgen, not of the input.
         UNREADABLE: An input file cannot be read.
-        HUNG_UP: The terminal was closed (128 + SIGHUP, as shells report it).
+        TERMINAL_HANGUP: The terminal was closed (128 + SIGHUP, as shells report it).
         INTERRUPTED: The user pressed Ctrl-C (128 + SIGINT).
         TERMINATED: The system asked the process to end (128 + SIGTERM).
     """
@@ -64,7 +64,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     INTERNAL = 3
     UNREADABLE = 4
-    HUNG_UP = 129
+    TERMINAL_HANGUP = 129
     INTERRUPTED = 130
     TERMINATED = 143
 
@@ -117,7 +117,7 @@ class ConfigInvalid(GsgenError):
     """Raised if an option or a settings file holds an invalid value."""
 
 
-class HostFailed(GsgenError):
+class HostProcessFailed(GsgenError):
     """Raised if this machine, not the input, ended a run: no memory, a full disk, a killed process.
 
     It is never a verdict about a model.

@@ -1,7 +1,7 @@
 """The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
 
 __all__ = [
-    "PASS_THROUGH_SETTINGS", "EndedEarly", "build", "click_command", "refusing", "runnable",
+    "PASS_THROUGH_SETTINGS", "CommandEndedEarly", "build", "click_command", "refusing", "runnable",
     "usable_command",
 ]  # fmt: skip
 
@@ -39,7 +39,7 @@ def _root() -> None:
     pass
 
 
-class EndedEarly(SystemExit):
+class CommandEndedEarly(SystemExit):
     """Raised if other code than a command's own ended the command, which decided nothing."""
 
     def __init__(self, command: str) -> None:
@@ -83,7 +83,7 @@ class _CommandGroup(TyperGroup):
             command = find_command(ctx.invoked_subcommand or "")
             if command is not None and command.code.owner != "gsgen":
                 raise
-            raise EndedEarly(ctx.invoked_subcommand or "") from error
+            raise CommandEndedEarly(ctx.invoked_subcommand or "") from error
 
 
 @contextmanager

@@ -1,7 +1,14 @@
 """Options and helper functions that several commands of the SDK share."""
 
 __all__ = [
-    "AsJson", "DryRun", "ModelFile", "Sizes", "copy_of", "exit_at_error", "first_names", "sizes_of",
+    "DryRun",
+    "ModelFile",
+    "PrintJsonOption",
+    "Sizes",
+    "copy_of",
+    "exit_at_error",
+    "first_names",
+    "sizes_of",
 ]  # fmt: skip
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,7 +22,7 @@ from gsgen.cli.output import echo_error
 from gsgen.cli.progress import clear
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+PrintJsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing; list the changes.")]
 ModelFile = Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)]
 Sizes = Annotated[

@@ -2,11 +2,11 @@
 
 __all__ = [
     "OPTION_ORDER",
-    "AsJson",
     "Config",
     "FailOn",
     "LevelName",
     "Memory",
+    "PrintJsonOption",
     "Seed",
     "TargetName",
     "Timeout",
@@ -36,7 +36,9 @@ FailOn = Annotated[
     str | None,
     typer.Option(help="Lowest severity that fails: error, warning or info.", show_default="error"),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON: the same as --format json.")]
+PrintJsonOption = Annotated[
+    bool, typer.Option("--json", help="Print as JSON: the same as --format json.")
+]
 Config = Annotated[
     Path | None,
     typer.Option(

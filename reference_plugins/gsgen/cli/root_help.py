@@ -14,7 +14,7 @@ from rich.text import Text
 from gsgen.cli.command_table import Command, panels
 from gsgen.contract._safe_text import printable
 
-_SUMMARY: Final = (
+_HELP_SUMMARY: Final = (
     "Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians."
 )
 _ROOT_OPTIONS: Final = (
@@ -31,7 +31,7 @@ def print_help() -> None:
     commands = panels()
     width = max(len(command.name) for panel in commands.values() for command in panel)
     console.print(Padding(Text("Usage: gsgen [OPTIONS] COMMAND [ARGS]...", "bold"), 1))
-    console.print(Padding(Text(_SUMMARY), (0, 1, 1, 1)))
+    console.print(Padding(Text(_HELP_SUMMARY), (0, 1, 1, 1)))
     console.print(_panel("Options", _ROOT_OPTIONS))
     for title, panel in commands.items():
         rows = ((command.name, command.summary) for command in panel)

@@ -34,7 +34,7 @@ _ASCII_SUBSTITUTES: Final = {
     "╭": "+", "╮": "+", "╯": "+", "╰": "+", "╸": "-", "╺": "-", "█": "#", "▏": "|",
     "\xa0": " ", "\u202f": " ",
 }  # fmt: skip
-_TAG_MARKS: Final = {"<super>": "^", "<sub>": "_"}
+_ASCII_BY_MARKUP_TAG: Final = {"<super>": "^", "<sub>": "_"}
 # What sets colours or erases a line, and variables that make typer use colours in a log.
 _COLOUR: Final = re.compile(r"(\x1b\[[0-9;]*m|\r\x1b\[2K)")
 _COLOUR_VARIABLES: Final = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
@@ -162,9 +162,9 @@ def _substitute(character: str) -> str:
     if name.startswith("GREEK CAPITAL LETTER ") and name.count(" ") == 3:
         return name.rpartition(" ")[2].title()
     tag, _, points = unicodedata.decomposition(character).partition(" ")
-    base = chr(int(points, 16)) if tag in _TAG_MARKS and " " not in points else ""
+    base = chr(int(points, 16)) if tag in _ASCII_BY_MARKUP_TAG and " " not in points else ""
     if base:
-        return _TAG_MARKS[tag] + (base if base.isascii() else _substitute(base))
+        return _ASCII_BY_MARKUP_TAG[tag] + (base if base.isascii() else _substitute(base))
     if tag == "<fraction>":
         return unicodedata.normalize("NFKD", character).replace("⁄", "/")
     return _escape(character)

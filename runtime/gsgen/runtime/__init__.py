@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene.mesh import Mesh, MeshData
     from gsgen.runtime.scene.scene import Box, Scene, SplatSet
     from gsgen.runtime.scene.splat_data import SplatData
-    from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+    from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
     from gsgen.runtime.sources.mesh_files import read_mesh
     from gsgen.runtime.sources.scene_file import open_scene
     from gsgen.runtime.viewer.window import view
@@ -46,7 +46,7 @@ __all__ = [
     "Mesh",
     "MeshData",
     "Player",
-    "PooledSet",
+    "PooledSplatSet",
     "PostProcessor",
     "Renderer",
     "Scene",
@@ -94,7 +94,7 @@ _MODULE_BY_NAME: Final = {
     "Scene": "gsgen.runtime.scene.scene",
     "SplatSet": "gsgen.runtime.scene.scene",
     "SplatData": "gsgen.runtime.scene.splat_data",
-    "PooledSet": "gsgen.runtime.scene.splat_pool",
+    "PooledSplatSet": "gsgen.runtime.scene.splat_pool",
     "SplatPool": "gsgen.runtime.scene.splat_pool",
     "read_mesh": "gsgen.runtime.sources.mesh_files",
     "open_scene": "gsgen.runtime.sources.scene_file",

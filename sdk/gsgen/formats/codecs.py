@@ -24,7 +24,7 @@ from typing import BinaryIO, Final, final
 import numpy as np
 from jaxtyping import Int64
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.checkpoints.torch_archive import PICKLE_MEMBER
 from gsgen.formats.glb import container as glb_container
@@ -241,7 +241,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 def recognise_codec(file: BinaryIO) -> Codec | None:
     """Detect the splat file format from the content of an open file; None if unknown."""
     file.seek(0)
-    head = file.read(HEAD_BYTES)
+    head = file.read(RECOGNITION_BYTES)
     matching_codecs = [codec for codec in CODECS if head.startswith(codec.magic_prefixes)]
     if head.startswith(ZIP_MAGIC):
         with unpacking("archive"), zipfile.ZipFile(file) as archive:

@@ -27,7 +27,7 @@ from gsgen.formats.tileset_paths import names_tileset
 __all__ = ["Conversion", "convert"]
 
 
-MAX_COMPARED: Final = 1 << 29
+MAX_COMPARED_VALUES: Final = 1 << 29
 """The most bytes of splats in memory for which the written file is read back and compared.
 
 Larger PLY files are converted in parts, where the target and the edits allow it."""
@@ -48,7 +48,7 @@ class Conversion:
             is 0 if one of them is a tileset or an address.
         lost_features: The dropped properties, in words.
         differences: The error of each kept quantity; empty for points.
-        compared: Whether the written file was compared; not above ``MAX_COMPARED``.
+        compared: Whether the written file was compared; not above ``MAX_COMPARED_VALUES``.
     """
 
     source: str
@@ -100,7 +100,9 @@ def convert(
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
     in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
     if in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
-        large_parts = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
+        large_parts = open_parts(
+            sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED_VALUES
+        )
         if large_parts is not None:
             return _convert_parts(large_parts, target, codec, step)
     read = read or partial(open_splats, drop_invalid=drop_invalid)
@@ -126,7 +128,9 @@ def convert(
     step(f"writing {target}")
     make_folder(target)
     writer(target, reduced)
-    is_compared = sum(getattr(reduced, name).nbytes for name in SPLAT_ARRAY_NAMES) <= MAX_COMPARED
+    is_compared = (
+        sum(getattr(reduced, name).nbytes for name in SPLAT_ARRAY_NAMES) <= MAX_COMPARED_VALUES
+    )
     entries: tuple[Difference, ...] = ()
     if is_compared:
         step(f"comparing {target} with the source")

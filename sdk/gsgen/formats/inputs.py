@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, final
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES, archive_kind, kind_of
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, kind_of
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
 from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import ArchiveDamaged, FileUnreadable, NotSupported, SizeExceeded
@@ -51,9 +51,9 @@ _SPLAT_KINDS: Final = frozenset(
 )
 
 _MAX_NESTING: Final = 2
-_MOST_MEMBERS: Final = 4096
-_PIECE: Final = 1 << 20
-_MOST_LISTED: Final = 4
+_MAX_ARCHIVE_MEMBERS: Final = 4096
+_READ_CHUNK_BYTES: Final = 1 << 20
+_MAX_LISTED_FILES: Final = 4
 
 
 @final
@@ -185,7 +185,9 @@ def _in_folder(folder: Path) -> Path:
 
 
 def _several_error(noun: str, names: Sequence[str]) -> NotSupported:
-    listed = ", ".join(names[:_MOST_LISTED]) + (", …" if len(names) > _MOST_LISTED else "")
+    listed = ", ".join(names[:_MAX_LISTED_FILES]) + (
+        ", …" if len(names) > _MAX_LISTED_FILES else ""
+    )
     return NotSupported(
         f"the {noun} holds {len(names)} files of splats: {listed}",
         expected="one file of splats",
@@ -206,17 +208,17 @@ def _unpacked(path: FilePath, max_bytes: int) -> FileContent | None:
 
 def _from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
     file.seek(0)
-    if is_packed(file.read(HEAD_BYTES)):
+    if is_packed(file.read(RECOGNITION_BYTES)):
         return None  # SPZ is a gzip file itself
     file.seek(0)
     limit = min(max_bytes, stream_size(file) * MAX_INFLATION)
     with unpacking("gzip stream"), gzip.GzipFile(fileobj=file) as stream:
-        head = stream.read(HEAD_BYTES)
+        head = stream.read(RECOGNITION_BYTES)
         kind = kind_of(head)
         if kind is not None and kind.name == "archive":
             return None  # such as a tar archive, which is named as what it is
         content = bytearray(head)
-        while piece := stream.read(_PIECE):
+        while piece := stream.read(_READ_CHUNK_BYTES):
             content += piece
             if len(content) > limit:
                 raise _size_error(f"more than {limit}", limit)
@@ -226,7 +228,7 @@ def _from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | 
 
 def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
     file.seek(0)
-    kind = kind_of(file.read(HEAD_BYTES), file)
+    kind = kind_of(file.read(RECOGNITION_BYTES), file)
     if kind is not None and kind.name == "damaged-zip":
         raise ArchiveDamaged(f"this is {kind.title}", where="archive", hint=kind.hint)
     if recognise_codec(file) is not None:
@@ -254,7 +256,7 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
             raise _size_error(str(entry.file_size), limit)
         with archive.open(entry) as stream:
             content = bytearray()
-            while piece := stream.read(_PIECE):
+            while piece := stream.read(_READ_CHUNK_BYTES):
                 content += piece
                 if len(content) > limit:
                     raise _size_error(f"more than {limit}", limit)
@@ -278,7 +280,7 @@ def _below_common_folder(name: str, entries: Sequence[zipfile.ZipInfo]) -> str:
 def _is_readable(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:
     """Return whether a member of an archive holds splats, by its first bytes and its suffix."""
     with archive.open(entry) as stream:
-        head = stream.read(HEAD_BYTES)
+        head = stream.read(RECOGNITION_BYTES)
     kind = kind_of(head)
     if kind is not None and kind.name in _SPLAT_KINDS:
         return True

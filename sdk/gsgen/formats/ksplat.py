@@ -68,7 +68,7 @@ def read_ksplat(path: FilePath) -> Splats:
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not a KSPLAT file.
+        FormatNotRecognised: The file is not a KSPLAT file.
         NotSupported: The file has another version.
         HeaderMalformed: A header contradicts itself.
         FileTruncated: The file ends early.

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
@@ -39,7 +39,7 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not a zip archive.
+        FormatNotRecognised: The file is not a zip archive.
         ArchiveDamaged: The archive, or a needed array, cannot be unpacked.
         PropertyMissing: The archive lacks the needed arrays; the message lists its arrays.
         NotSupported: A needed array holds Python objects, or two arrays hold positions.
@@ -47,7 +47,7 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
         ValueInvalid: An array has the wrong shape, type or values.
     """
     with open_file(path) as file:
-        head = file.read(HEAD_BYTES)
+        head = file.read(RECOGNITION_BYTES)
         if not head.startswith(ZIP_MAGIC):
             raise not_recognised(head, "50 4b 03 04, the start of an .npz", head[:4].hex(" "))
         with unpacking("archive"), zipfile.ZipFile(file) as archive:

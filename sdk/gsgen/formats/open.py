@@ -5,11 +5,11 @@ __all__ = ["open_splats", "require_codec"]
 from dataclasses import replace
 from functools import partial
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES, kind_of
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
 from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
 from gsgen.formats.inputs import resolve_input, training_folder
 from gsgen.formats.ply.ply import read_ply
-from gsgen.formats.shared.errors import NotRecognised, NotSupported
+from gsgen.formats.shared.errors import FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.tileset_paths import names_tileset
@@ -56,12 +56,12 @@ def require_codec(file: FilePath) -> Codec:
     """Return the splat file format of a file, by its content, or by its suffix if it is unknown.
 
     Raises:
-        NotRecognised: The content is of another kind, which the error names.
+        FormatNotRecognised: The content is of another kind, which the error names.
     """
     with open_file(file) as stream:
         codec = recognise_codec(stream)
         stream.seek(0)
-        head = stream.read(HEAD_BYTES)
+        head = stream.read(RECOGNITION_BYTES)
         if codec is not None:
             return codec
         codec, kind = codec_of_suffix(file), kind_of(head, stream)
@@ -70,8 +70,8 @@ def require_codec(file: FilePath) -> Codec:
             return codec
         expected = f"a file of splats: {format_titles()}"
         if kind is not None:
-            raise NotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)
-        raise NotRecognised(
+            raise FormatNotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)
+        raise FormatNotRecognised(
             head[:5].hex(" "),
             where="first bytes",
             expected=expected,

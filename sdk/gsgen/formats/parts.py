@@ -89,7 +89,7 @@ class PlyParts:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _CountedParts:
+class _PartsWithCount:
     """The edited splats of a PLY file, with their number, which a first pass has counted."""
 
     parts: PlyParts
@@ -114,7 +114,7 @@ PartWriter = Callable[[FilePath, PlyParts, int, float], None]
 PART_WRITERS: Final[dict[str, PartWriter]] = {
     "ply": lambda path, parts, count, _: write_ply_parts(path, parts, count),
     "sog": lambda path, parts, count, _: write_sog_parts(
-        path, _CountedParts(parts=parts, count=count)
+        path, _PartsWithCount(parts=parts, count=count)
     ),
     "spz": write_spz_parts,
 }

@@ -1,6 +1,6 @@
 """Runs a model file in the sandbox, a few test inputs at a time, to bound the memory."""
 
-__all__ = ["MAX_KEPT_BYTES", "run_in_groups"]
+__all__ = ["MAX_KEPT_OUTPUT_BYTES", "run_in_groups"]
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 
 # Bytes of outputs that are kept at once, in memory or in the sandbox's files.
-MAX_KEPT_BYTES = 256 << 20
+MAX_KEPT_OUTPUT_BYTES = 256 << 20
 
 
 def run_in_groups(
@@ -35,7 +35,7 @@ def run_in_groups(
         frame_bytes: Bytes of the outputs of one run.
         failure: Makes the error to raise from ONNX Runtime's message.
     """
-    size = max(1, MAX_KEPT_BYTES // max(1, frame_bytes))
+    size = max(1, MAX_KEPT_OUTPUT_BYTES // max(1, frame_bytes))
     for start in range(0, len(probes), size):
         group = probes[start : start + size]
         with execute(path, names, group, limits) as execution:

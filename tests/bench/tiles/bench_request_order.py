@@ -17,7 +17,7 @@ from gsgen.tiles.loading.quality_ladder import SSIM, QualityLadder
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import ViewSettings
-from gsgen.tiles.selection.cut import Cut, cut_tree
+from gsgen.tiles.selection.cut import TileCut, cut_tree
 from gsgen.tiles.selection.request_order import finer_file_order, missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
@@ -33,7 +33,12 @@ _GOOD = 0.9
 
 
 def utility(
-    tree: TileTree, ladder: QualityLadder, cut: Cut, held_levels: np.ndarray, drawn: np.ndarray, eye
+    tree: TileTree,
+    ladder: QualityLadder,
+    cut: TileCut,
+    held_levels: np.ndarray,
+    drawn: np.ndarray,
+    eye,
 ) -> float:
     """The worth of the drawn tiles, as a share of that of all wanted tiles at the finest file."""
     reach = np.linalg.norm(tree.half_axes, axis=(1, 2))
@@ -60,7 +65,7 @@ def stream(
     utilities, hole_count = [], 0
     first_quality = 0 if order == "finest files" else len(ladder.quality_scores) - 1
 
-    def request(cut: Cut, drawn: np.ndarray, eye: np.ndarray) -> None:
+    def request(cut: TileCut, drawn: np.ndarray, eye: np.ndarray) -> None:
         loaded = held_levels >= 0
         actual = request_order(tree, cut)
         missing = actual[~loaded[actual]]

@@ -15,7 +15,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.fetching import client
 from gsgen.contract.fetching.client import WebClient, fetch
 from gsgen.contract.fetching.errors import (
-    AddressRefused,
+    AddressNotAllowed,
     FetchFailed,
     FileMissing,
     ResponseTooLarge,
@@ -44,8 +44,8 @@ def test_hostile_answer_is_one_error_in_time(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        ("redirect-elsewhere", AddressRefused),
-        ("redirect-malformed-host", AddressRefused),
+        ("redirect-elsewhere", AddressNotAllowed),
+        ("redirect-malformed-host", AddressNotAllowed),
         ("dripping-error-body", FileMissing),
         ("endless-body", ResponseTooLarge),
         ("length-huge", ResponseTooLarge),
@@ -84,7 +84,7 @@ def test_a_few_interim_responses_are_skipped(interim: bytes) -> None:
 
 def test_address_with_a_password_or_of_another_scheme_is_refused() -> None:
     for address in ("http://u:p@127.0.0.1/x", "ftp://a/x", "http://", "http://[::1/x", "a.json"):
-        with pytest.raises(AddressRefused):
+        with pytest.raises(AddressNotAllowed):
             fetch(address, max_bytes=1)
 
 

@@ -254,7 +254,7 @@ def test_the_number_of_fields_is_limited(monkeypatch):
 
 
 def test_retained_bytes_besides_payload_are_limited(monkeypatch):
-    monkeypatch.setattr(protobuf_scan, "_MAX_HELD_BYTES", 1 << 20)
+    monkeypatch.setattr(protobuf_scan, "_MAX_RETAINED_BYTES", 1 << 20)
     model = ModelProto(doc_string="x" * (1 << 20)).SerializeToString()
     with pytest.raises(WireFault, match="more than 1 MiB besides tensor payload"):
         strip_payloads(model)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.contract.errors import ConfigInvalid, HostFailed
+from gsgen.contract.errors import ConfigInvalid, HostProcessFailed
 from gsgen.contract.probing import sandbox, sandbox_worker
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Fault, execute
@@ -213,7 +213,7 @@ def test_crash_names_its_signal_and_probe(folder, monkeypatch):
 def test_child_that_cannot_start_reports_its_last_stderr_line(folder, monkeypatch):
     monkeypatch.setattr(sandbox, "_write_job", lambda *_, **options: None)
     expected_message = "ended: exit status 1: FileNotFoundError: "
-    with pytest.raises(HostFailed, match=expected_message):
+    with pytest.raises(HostProcessFailed, match=expected_message):
         fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
 
 
@@ -321,7 +321,7 @@ def test_a_child_killed_from_outside_is_a_fault_of_the_host(folder, monkeypatch,
 
     act_on_first_wait(monkeypatch, kill)
     path = save(folder / "a.onnx", ENDLESS)
-    with pytest.raises(HostFailed, match=f"killed by {number.name}") as caught:
+    with pytest.raises(HostProcessFailed, match=f"killed by {number.name}") as caught:
         fault_of(path, ["y"], [probe(turns=np.int64(2**62))])
     assert caught.value.exit_code == 2
 
@@ -331,7 +331,7 @@ _WITH_A_LIMIT = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from gsgen.contract.errors import HostFailed
+from gsgen.contract.errors import HostProcessFailed
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
@@ -341,7 +341,7 @@ probe = Probe(label="", inputs={"x": np.ones((1 << 16, 10), np.float32)})
 try:
     with execute(Path(sys.argv[1]), ["y"], [probe], Limits()) as execution:
         print(execution.fault)
-except HostFailed as error:
+except HostProcessFailed as error:
     print(error.message)
 """
 

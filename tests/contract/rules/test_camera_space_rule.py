@@ -11,12 +11,12 @@ from gsgen.contract.rules.values import camera_space
 from gsgen.contract.spec.geometry import look_at
 
 
-def seen(eye: list[float], points: np.ndarray, *, moves: bool) -> camera_space._SeenRows:
+def seen(eye: list[float], points: np.ndarray, *, moves: bool) -> camera_space._RowsInCameras:
     """Return what a view shows: centres in camera space, or in local space."""
     view = look_at(np.array(eye), np.zeros(3), np.array([0.0, -1, 0])).astype(np.float64)
     position = points @ view[:3, :3].T + view[:3, 3] if moves else points
     drawn = np.ones(len(points), bool)
-    return camera_space._SeenRows(view=view, projection=None, position=position, drawn=drawn)
+    return camera_space._RowsInCameras(view=view, projection=None, position=position, drawn=drawn)
 
 
 @pytest.mark.parametrize("moves", [True, False])

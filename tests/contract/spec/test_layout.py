@@ -7,7 +7,7 @@ from hypothesis.extra.numpy import arrays
 from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.spec.layout import (
     FIELDS,
-    ROW,
+    ROW_LENGTH,
     DecodedGaussians,
     appearance_channels,
     decode,
@@ -78,7 +78,7 @@ def test_row_order_is_position_opacity_upper_triangle():
         rgb=np.zeros((1, 3)),
     )
     assert encode(decoded_gaussians)[0].tolist() == [[1, 2, 3, 4, 5, 6, 7, 8, 9, 10]]
-    assert ROW == len(FIELDS) == 10
+    assert ROW_LENGTH == len(FIELDS) == 10
     assert FIELDS[4:] == ("xx", "xy", "xz", "yy", "yz", "zz")
 
 

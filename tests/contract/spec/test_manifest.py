@@ -17,7 +17,7 @@ from gsgen.contract.spec.manifest import (
     WeightedSum,
     manifest_type,
 )
-from gsgen.contract.spec.manifest_io import Complaint, dumps, loads, parse
+from gsgen.contract.spec.manifest_io import ManifestComplaint, dumps, loads, parse
 from support.models.manifests import manifests
 
 MINIMAL = {"contract": "1.0", "kind": "gaussian-generator", "name": "a", "outputs": {}}
@@ -74,18 +74,20 @@ def test_an_input_without_axes_keeps_its_shape():
     [
         (
             {"bounds": {"min": [0, 0], "max": [1, 1, 1]}},
-            Complaint("schema", "bounds.min", "[0, 0]", "Lower corner, x y z. (minItems 3)"),
+            ManifestComplaint(
+                "schema", "bounds.min", "[0, 0]", "Lower corner, x y z. (minItems 3)"
+            ),
         ),
         (
             {"outputs": {"gaussians": {"name": "g"}}},
-            Complaint(
+            ManifestComplaint(
                 "schema", "outputs.gaussians", "no field 'capacity'", "'capacity' to be present"
             ),
         ),
-        ({"blend": "add"}, Complaint("schema", "blend", "add", "one of alpha, wsr")),
+        ({"blend": "add"}, ManifestComplaint("schema", "blend", "add", "one of alpha, wsr")),
         (
             {"space": {"upp": "-y", "x-a": 1}},
-            Complaint(
+            ManifestComplaint(
                 "schema",
                 "space",
                 "'upp'",
@@ -94,7 +96,7 @@ def test_an_input_without_axes_keeps_its_shape():
         ),
         (
             {"name": ""},
-            Complaint(
+            ManifestComplaint(
                 "schema", "name", "an empty text", "What people call the model. (minLength 1)"
             ),
         ),
@@ -174,7 +176,7 @@ def test_a_manifest_without_a_version_is_refused():
 @pytest.mark.parametrize("version", ["2.0", "0.9", "17.3"])
 def test_another_major_version_is_refused(version):
     parsed = parse(text(contract=version))
-    expected = Complaint("version", "contract", version, "major version 1")
+    expected = ManifestComplaint("version", "contract", version, "major version 1")
     assert parsed.complaints == (expected,)
     assert parsed.version == tuple(int(part) for part in version.split("."))
 

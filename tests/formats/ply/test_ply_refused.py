@@ -10,8 +10,8 @@ from gsgen.formats import (
     BodyMalformed,
     FileTruncated,
     FormatError,
+    FormatNotRecognised,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     PropertyMissing,
     ValueInvalid,
@@ -141,7 +141,7 @@ def test_a_header_is_ascii(tmp_path):
     ],
 )
 def test_a_file_that_does_not_begin_with_ply_is_not_recognised(tmp_path, content, actual):
-    text = refusal(tmp_path, content, NotRecognised)
+    text = refusal(tmp_path, content, FormatNotRecognised)
     assert text.splitlines()[:2] == [
         actual,
         "expected `ply` on a line of its own, the start of a PLY file",

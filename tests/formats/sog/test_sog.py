@@ -13,8 +13,8 @@ from gsgen.formats import (
     FileTruncated,
     FileUnreadable,
     FormatError,
+    FormatNotRecognised,
     HeaderMalformed,
-    NotRecognised,
     NotSupported,
     PropertyMissing,
     SizeExceeded,
@@ -162,13 +162,17 @@ def test_inconsistent_meta_is_refused(tmp_path, meta, kind, text):
 @pytest.mark.parametrize(
     ("content", "kind", "text"),
     [
-        (b"{", NotRecognised, "meta.json: the file has invalid JSON (Expecting property name"),
-        (b"[1]", NotRecognised, "this is a JSON list\n"),
-        (b"{}", NotRecognised, "this is a JSON document without keys\n"),
-        (b"\xff\xfe\x00", NotRecognised, "first bytes: ff fe 00"),
+        (
+            b"{",
+            FormatNotRecognised,
+            "meta.json: the file has invalid JSON (Expecting property name",
+        ),
+        (b"[1]", FormatNotRecognised, "this is a JSON list\n"),
+        (b"{}", FormatNotRecognised, "this is a JSON document without keys\n"),
+        (b"\xff\xfe\x00", FormatNotRecognised, "first bytes: ff fe 00"),
         (
             b'{"a":' * 100_000,
-            NotRecognised,
+            FormatNotRecognised,
             "meta.json: the file has invalid JSON (it nests too deeply)",
         ),
     ],

@@ -7,7 +7,7 @@ import pytest
 from gsgen.reference_plugins.heads import gaussian_avatars_plugin as plugin
 from gsgen.reference_plugins.heads.gaussian_avatars import GaussianAvatars
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
-from gsgen.reference_plugins.heads.teeth import TOOTH_VERTICES
+from gsgen.reference_plugins.heads.teeth import TEETH_VERTEX_COUNT
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import write_gaussian_avatar
@@ -56,7 +56,9 @@ def test_teeth_are_those_of_the_method() -> None:
         expression, shift = (golden[f"in_{name}"][frame] for name in ("expr", "translation"))
         vertices = face_vertices(read, pose, expression.astype(float), shift.astype(float))
         np.testing.assert_allclose(
-            vertices[-TOOTH_VERTICES:], golden[f"aux{frame}_verts"][-TOOTH_VERTICES:], atol=2e-6
+            vertices[-TEETH_VERTEX_COUNT:],
+            golden[f"aux{frame}_verts"][-TEETH_VERTEX_COUNT:],
+            atol=2e-6,
         )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.reference_plugins.bodies.actors import ActorInputs
+from gsgen.reference_plugins.bodies.actors import PersonInputs
 from gsgen.reference_plugins.people import r3_avatar_plugin
 from gsgen.reference_plugins.people.gauhuman import GauHuman
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
@@ -37,7 +37,7 @@ def random_pose_inputs(rng: np.random.Generator, joints: int, shapes: int) -> Po
 
 
 def fed(
-    actors: ActorInputs, bodies: list[PoseInputs], poses: list[int] | None = None
+    actors: PersonInputs, bodies: list[PoseInputs], poses: list[int] | None = None
 ) -> list[np.ndarray]:
     """Lay what moves bodies into the inputs, in order."""
     feeds = []

@@ -14,7 +14,7 @@ from gsgen.runtime.baking.frame_values import number_range
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
-from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
+from gsgen.runtime.sources.source import GeneratorSource, Source, StillFrameSource
 from gsgen.sdk.binding import FrameSession
 
 CAMERA = Camera.orbit((0, 0, 0), 6, azimuth=50, elevation=-35, width=160, height=120)
@@ -42,7 +42,7 @@ def _psnr(
     finally:
         source.close()
     assert expected[..., 3].max() > 0.5
-    error = float(np.mean(np.square(_image(StillSource(file), renderer) - expected)))
+    error = float(np.mean(np.square(_image(StillFrameSource(file), renderer) - expected)))
     return -10 * np.log10(max(error, 1e-20))
 
 

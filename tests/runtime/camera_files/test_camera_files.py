@@ -20,7 +20,7 @@ from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.sources.source import StillSource
+from gsgen.runtime.sources.source import StillFrameSource
 
 OPENGL = np.diag([1.0, -1, -1, 1])
 
@@ -444,7 +444,9 @@ def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> No
     assert viewpoint(str(path), width=40, height=30).sizes == {(40, 30)}
     assert len(viewpoint(str(path), width=40, panorama=True).sizes) == 0
     assert viewpoint(None).sizes == set()
-    film = FrameSequence([StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer)
+    film = FrameSequence(
+        [StillFrameSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer
+    )
     for name in ("a.npy", "a.gif"):
         with pytest.raises(
             ConfigInvalid, match=r"frames of one size, .*×.*\n.*--width and --height"

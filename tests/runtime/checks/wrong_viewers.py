@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from gsgen.conformance.viewer_kit.case import KitCamera, KitCase, KitFrame
+from gsgen.conformance.viewer_kit.case import KitCamera, KitFrame, ViewerKitCase
 from gsgen.conformance.viewer_kit.write import picture_name
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import GeneratorManifest, Space
@@ -86,7 +86,7 @@ class Viewer:
         """Return what the viewer's screen shows."""
         return on_screen(rgba, scene)
 
-    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+    def draw(self, model: Path, case: ViewerKitCase, render: Render, folder: Path) -> None:
         """Write the pictures of a case to ``folder``."""
         declared = _declared(model)
         manifest = self.manifest(declared)
@@ -187,7 +187,7 @@ class _FindsByShape(Viewer):
 class _LosesWeights(Viewer):
     """Shows an empty screen where a model has weights in another file."""
 
-    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+    def draw(self, model: Path, case: ViewerKitCase, render: Render, folder: Path) -> None:
         def black(scene: Scene, camera: Camera) -> np.ndarray:
             return np.zeros((camera.height, camera.width, 4))
 
@@ -256,7 +256,7 @@ class _SwapsViewport(Viewer):
 class _MirrorsBehind(Viewer):
     """Draws Gaussians behind the camera where their projection is."""
 
-    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+    def draw(self, model: Path, case: ViewerKitCase, render: Render, folder: Path) -> None:
         def mirrored(scene: Scene, camera: Camera) -> np.ndarray:
             (splat_set,) = scene.sets
             data = splat_set.data
@@ -284,7 +284,7 @@ class _EncodesAlways(Viewer):
 class _DrawsThinly(Viewer):
     """Adds next to nothing to the projected covariances."""
 
-    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+    def draw(self, model: Path, case: ViewerKitCase, render: Render, folder: Path) -> None:
         def thin(scene: Scene, camera: Camera) -> np.ndarray:
             return render(scene, replace(camera, dilation=1e-6))
 
@@ -299,7 +299,7 @@ class _EditsSplats(Viewer):
     ) -> None:
         self._edit = edit
 
-    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+    def draw(self, model: Path, case: ViewerKitCase, render: Render, folder: Path) -> None:
         project = projection.drawn_splats
 
         def edited(splat_set: SplatSet, camera: Camera, *kwargs: Any) -> projection.Splats:

@@ -18,7 +18,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool, pool_row_bytes
+from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool, pool_row_bytes
 from references.projection import visible_slots_reference
 from support.rendering.splat_scenes import camera, cloud, single, turned
 
@@ -61,7 +61,7 @@ TURNED = turned(0.4, (1, 2, 3), 1.3)
 def assert_draws_as_one_set(renderer: Renderer, view: Camera) -> None:
     data = cloud(900, seed=3, degree=1)
     pool = filled_pool(data)
-    pooled = renderer.render(Scene([], pools=[PooledSet(pool, TURNED)]), view, outputs=OUTPUTS)
+    pooled = renderer.render(Scene([], pools=[PooledSplatSet(pool, TURNED)]), view, outputs=OUTPUTS)
     single = renderer.render(Scene([SplatSet(data, TURNED)]), view, outputs=OUTPUTS)
     assert single.visible > 100
     assert_equal(pooled, single)
@@ -314,7 +314,7 @@ def test_a_pool_refuses_what_it_cannot_hold() -> None:
         with pytest.raises(SceneInvalid):
             SplatPool(sizes[0], sizes[1], slot_rows=sizes[2])
     with pytest.raises(SceneInvalid, match="opacity_scale"):
-        PooledSet(pool, opacity_scale=float("nan"))
+        PooledSplatSet(pool, opacity_scale=float("nan"))
 
 
 # ---- Culling -------------------------------------------------------------------------------------
@@ -333,7 +333,7 @@ def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -
         pool.insert(tile, rows.astype(np.float32), color, rng.normal(size=3))
     pool.draw({tile: 1.0 for tile in range(count) if tile % 7})
     view = camera(cx=20.0)
-    scene = Scene([], pools=[PooledSet(pool, TURNED)])
+    scene = Scene([], pools=[PooledSplatSet(pool, TURNED)])
     placed = renderer.placed(scene)
     plan = renderer.plan(placed, view, frozenset(["color"]))
     plan.submit(placed, view, np.zeros(3), only=["project"])

@@ -15,7 +15,7 @@ from gsgen.runtime.renderer.renderer import FIRST_PAIR_CAPACITY, Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import SLOT_ROWS, PooledSet, SplatPool
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS, PooledSplatSet, SplatPool
 from gsgen.runtime.web.pages import client_file
 from runtime.web.plan_executor import PlanExecutor, choose
 from support.rendering.splat_scenes import camera, cloud, turned
@@ -72,7 +72,7 @@ def test_a_written_plan_draws_pools_bit_by_bit(
         pool.insert(key, *tile(key, rows, degree), np.array([0.01 * key, 0, 0]))
     pool.draw({0: 1.0, 1: 0.4})
     front_set = SplatSet(SplatData(*tile(9, 200, 1), "sh"), TURNED)
-    scene = Scene([front_set], pools=[PooledSet(pool, TURNED, opacity_scale=0.8)])
+    scene = Scene([front_set], pools=[PooledSplatSet(pool, TURNED, opacity_scale=0.8)])
     placed = card.placed(scene)
     pages = [page for _, page in placed]
     assert len(pages) == 4  # the set, and three pages of the pool

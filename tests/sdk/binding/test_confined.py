@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.contract.errors import HostFailed, UnknownName
+from gsgen.contract.errors import HostProcessFailed, UnknownName
 from gsgen.contract.process.limits import Limits
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SessionClosed, Stop
 from gsgen.sdk.binding.confined.models import ConfinedModels
@@ -127,7 +127,7 @@ def test_a_process_killed_from_outside_is_a_fault_of_the_host(models: dict[str, 
     with FrameSession(models["drift-float32"], provider="cpu", confined=True) as session:
         (child,) = process_ids() - before
         os.kill(child, signal.SIGKILL)
-        with pytest.raises(HostFailed, match="killed by SIGKILL") as caught:
+        with pytest.raises(HostProcessFailed, match="killed by SIGKILL") as caught:
             session.run()
         assert caught.value.exit_code == 2
 

@@ -13,7 +13,7 @@ from gsgen.conformance.fixtures.builders.images import darken
 from gsgen.conformance.fixtures.builders.moving import camera_dependent_model, drifting_model
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.geometry import look_at, perspective
-from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
+from gsgen.sdk.binding import FrameExpired, FrameSession, RunFailed
 from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.buffers import DeviceBuffer
 from support.models.small_models import good_rows, moving, save, save_moving
@@ -119,7 +119,7 @@ def test_frame_expires_after_the_next_unless_copied(provider, models):
             lent_frame.gaussians,
             lambda: lent_frame.handle("color"),
         ):
-            with pytest.raises(FrameGone, match="frame 0 was overwritten by frame 2"):
+            with pytest.raises(FrameExpired, match="frame 0 was overwritten by frame 2"):
                 read()
         np.testing.assert_array_equal(retained["gaussians"], before)
         assert len(retained.gaussians()) == 5
@@ -226,7 +226,7 @@ def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatc
             patched.setattr(BoundSession, "run", lose)
             with pytest.raises(RunFailed, match="ONNX Runtime: device is lost"):
                 session.run()
-        with pytest.raises(FrameGone):
+        with pytest.raises(FrameExpired):
             frame["gaussians"]
         assert session.run().count == 5
 

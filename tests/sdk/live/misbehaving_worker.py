@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, run_worker
+from gsgen.contract.probing.sandbox_worker import EmitMessage, keep_outputs, run_worker
 
 
-def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _work(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     how = os.environ["HOW_THE_WORKER_BEHAVES"]
     emit("started", version="made up")
     if how == "crash at once":

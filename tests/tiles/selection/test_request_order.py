@@ -10,7 +10,7 @@ from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.request_order import finer_file_order, missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.metrics import MetricsRecorder
@@ -52,9 +52,9 @@ def ladder_of(sizes: Sequence[Sequence[float]], worth: Sequence[float]) -> Quali
     return QualityLadder(tiles=(), size=np.array(sizes, np.float64), quality_scores=np.array(worth))
 
 
-def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> Cut:
+def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> TileCut:
     mask = np.array(visible_mask)
-    return Cut(seen=mask, selected=mask, error=np.array(error))
+    return TileCut(seen=mask, selected=mask, error=np.array(error))
 
 
 #      0

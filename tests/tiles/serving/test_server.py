@@ -250,7 +250,7 @@ def test_a_thousand_half_open_connections_keep_nobody_out(server: TileServer) ->
     assert ask(server, "/t/a.glb").data == BODY
     assert time.monotonic() - start < 2
     threads = [t for t in threading.enumerate() if "process_request_thread" in t.name]
-    assert len(threads) <= local_server._MOST_CONNECTIONS + 1
+    assert len(threads) <= local_server._MAX_CONNECTIONS + 1
     for connection in waiting:
         connection.close()
 

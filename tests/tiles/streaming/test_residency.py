@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsgen.tiles.loading.tileset_loader import open_tileset
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import TileFades, drawable_tiles
@@ -21,14 +21,14 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> TileTree:
     return TileTree.of_tileset(open_tileset(write_town(tmp_path_factory.mktemp("town"), depth=3)))
 
 
-def random_cut(rng: np.random.Generator, tree: TileTree) -> Cut:
+def random_cut(rng: np.random.Generator, tree: TileTree) -> TileCut:
     refined = (rng.uniform(size=len(tree)) < 0.6) & ~tree.is_leaf
     visible_mask = rng.uniform(size=len(tree)) < 0.8
     visible_mask[0] = True
     for rows in tree.rows_of_level[1:]:
         above = tree.parent[rows]
         visible_mask[rows] &= visible_mask[above] & refined[above]
-    return Cut(visible_mask, visible_mask & ~refined, np.zeros(len(tree)))
+    return TileCut(visible_mask, visible_mask & ~refined, np.zeros(len(tree)))
 
 
 def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree) -> None:
@@ -78,7 +78,7 @@ def test_the_least_recently_used_and_finest_leave_first(tree: TileTree) -> None:
     assert with_slots.admit(coarse, 0.0) is None
 
 
-def drawn_by_a_walk(tree: TileTree, cut: Cut, resident: np.ndarray) -> set[int]:
+def drawn_by_a_walk(tree: TileTree, cut: TileCut, resident: np.ndarray) -> set[int]:
     """What to draw, by recursion from its definition."""
     children: dict[int, list[int]] = {row: [] for row in range(len(tree))}
     for row in range(1, len(tree)):

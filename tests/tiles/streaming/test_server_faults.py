@@ -20,7 +20,7 @@ from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.serving.faults import NetworkFaults, parse_failure
 from gsgen.tiles.streaming import tiles_source
-from gsgen.tiles.streaming.fetch import FetchLink, OnBytes
+from gsgen.tiles.streaming.fetch import ByteProgressCallback, FetchLink
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.streaming.tiles_source import open_stream
 from support.commands import gsgen_here
@@ -213,7 +213,7 @@ def test_six_stuck_tiles_do_not_stop_the_others(town: Path, fault: str) -> None:
 
 
 def test_fault_of_gsgen_on_a_thread_is_raised_and_frees_its_slot() -> None:
-    def fetch(tile: int, on_bytes: OnBytes) -> bytes:
+    def fetch(tile: int, on_bytes: ByteProgressCallback) -> bytes:
         raise ZeroDivisionError(tile)
 
     link: FetchLink[bytes, bytes] = FetchLink(fetch, lambda tile, data: data, lambda tile: 1, 2)

@@ -141,13 +141,13 @@ def test_child_equal_to_its_parent_has_ssim_one(tmp_path: Path) -> None:
 def test_gt022_is_skipped_for_tiles_with_too_many_splats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(drawing, "MAX_DRAWN", 30)  # the children have 48, each tile fewer
+    monkeypatch.setattr(drawing, "MAX_DRAWN_SPLATS", 30)  # the children have 48, each tile fewer
     report = validate(write_tileset(explicit_sketch(), tmp_path), RENDER)
     status, reason = outcome(report, "GT022")
     assert status == "skipped"
     assert "48 splats, and 30" in reason
     assert outcome(report, "GT021") == ("pass", "")
-    monkeypatch.setattr(drawing, "MAX_DRAWN", 20)
+    monkeypatch.setattr(drawing, "MAX_DRAWN_SPLATS", 20)
     assert outcome(validate(tmp_path, RENDER), "GT021")[0] == "skipped"
 
 

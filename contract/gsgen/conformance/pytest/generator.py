@@ -23,7 +23,7 @@ from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS
 from gsgen.contract.validation.rule import Rule
 from gsgen.contract.validation.settings import Settings
 
-_OTHER_KINDS = (POST_PROCESS, "trajectory")
+_UNTESTED_KINDS = (POST_PROCESS, "trajectory")
 
 
 class GeneratorConformance:
@@ -110,7 +110,7 @@ class GeneratorConformance:
 def _suite_name(rule: Rule) -> str:
     """Return the name of the first suite that tests a rule, on a generator if the rule allows."""
     is_generator = GENERATOR in rule.kinds
-    suites = [suite for suite in ALL_SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
+    suites = [suite for suite in ALL_SUITES if not (is_generator and suite.name in _UNTESTED_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 

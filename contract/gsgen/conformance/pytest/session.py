@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from gsgen.conformance.cases import Case
-from gsgen.conformance.evidence import Dumps
+from gsgen.conformance.evidence import EvidenceDumps
 from gsgen.conformance.expected import ExpectedFailure, read_expected
 from gsgen.conformance.run import ModelRun, run_model, suites_of
 from gsgen.conformance.suite import find_suite
@@ -94,13 +94,13 @@ class ConformanceSession:
         return read_expected(Path(file), installed_rules()) if file else ()
 
     @cached_property
-    def dumps(self) -> Dumps:
+    def dumps(self) -> EvidenceDumps:
         """The folder for saved inputs and outputs of failed model runs."""
         folder = self.option("dump")
         if folder:
-            return Dumps(Path(folder))
+            return EvidenceDumps(Path(folder))
         factory: pytest.TempPathFactory = self.config._tmp_path_factory  # type: ignore[attr-defined]
-        return Dumps(factory.mktemp("gsgen-dumps"), _MAX_DEFAULT_DUMP_BYTES)
+        return EvidenceDumps(factory.mktemp("gsgen-dumps"), _MAX_DEFAULT_DUMP_BYTES)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
         """Return a model's conformance suites with their rules, and mark the rules as tested."""

@@ -6,8 +6,8 @@ __all__ = [
     "HEIGHT",
     "WIDTH",
     "KitCamera",
-    "KitCase",
     "KitFrame",
+    "ViewerKitCase",
     "kit_camera",
     "orbit_frame",
 ]
@@ -77,7 +77,7 @@ class KitFrame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KitCase:
+class ViewerKitCase:
     """A viewer test: a model, the frames to draw in order, and the viewer faults that they reveal.
 
     Attributes:

@@ -15,19 +15,22 @@ from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.conformance.fixtures.valid import moving
 from gsgen.conformance.viewer_kit.case import (
     COMMON_SH_FAULTS,
-    KitCase,
     KitFrame,
+    ViewerKitCase,
     kit_camera,
     orbit_frame,
 )
 from gsgen.contract.spec.manifest import Input
 
-_TWO_SIDES = (KitFrame(camera=kit_camera()), KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))))
+_OPPOSITE_VIEW_FRAMES = (
+    KitFrame(camera=kit_camera()),
+    KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))),
+)
 _SHIFTED_FRAMES = tuple(
     KitFrame(camera=kit_camera(eye, cx=24.0, cy=30.0))
     for eye in ((1.2, -1.0, -2.6), (-1.6, -0.4, 2.2))
 )
-_MOVING_FAULTS = (*COMMON_SH_FAULTS, "stale-outputs")
+_MOVING_MODEL_FAULTS = (*COMMON_SH_FAULTS, "stale-outputs")
 
 
 def _projection_model() -> ModelSpec:
@@ -84,11 +87,11 @@ def _moving_case(
     fixture: Fixture,
     *frames: KitFrame,
     slight: tuple[str, ...] = (),
-) -> KitCase:
-    return KitCase(
+) -> ViewerKitCase:
+    return ViewerKitCase(
         name=name,
         tests=tests,
-        faults=(*_MOVING_FAULTS, *faults),
+        faults=(*_MOVING_MODEL_FAULTS, *faults),
         spec=fixture.draw,
         frames=frames,
         slight=slight,
@@ -99,40 +102,46 @@ def _random_array(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.5, 0.5, shape).round(3)
 
 
-INPUT_CASES: tuple[KitCase, ...] = (
-    KitCase(
+INPUT_CASES: tuple[ViewerKitCase, ...] = (
+    ViewerKitCase(
         name="view-column",
         tests="A view matrix that the tensor holds transposed, as the manifest declares.",
-        faults=(*_MOVING_FAULTS, "matrix-order", "role-view", "order"),
+        faults=(*_MOVING_MODEL_FAULTS, "matrix-order", "role-view", "order"),
         spec=lambda: camera_dependent_model(20),
-        frames=_TWO_SIDES,
+        frames=_OPPOSITE_VIEW_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="view-row",
         tests="A view matrix that the tensor holds as it is, as the manifest declares.",
-        faults=(*_MOVING_FAULTS, "matrix-order", "matrix-order-ignored", "role-view", "order"),
+        faults=(
+            *_MOVING_MODEL_FAULTS,
+            "matrix-order",
+            "matrix-order-ignored",
+            "role-view",
+            "order",
+        ),
         spec=lambda: camera_dependent_model(20, order="row"),
-        frames=_TWO_SIDES,
+        frames=_OPPOSITE_VIEW_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="projection",
         tests="A projection with the principal point beside the middle, and a view matrix.",
         faults=(
-            *(*_MOVING_FAULTS, "matrix-order", "role-projection", "role-view"),
+            *(*_MOVING_MODEL_FAULTS, "matrix-order", "role-projection", "role-view"),
             *("intrinsics", "projection-centre"),
         ),
         spec=_projection_model,
         frames=_SHIFTED_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="camera-position",
         tests="The camera centre as an input.",
-        faults=(*_MOVING_FAULTS, "role-camera_position"),
+        faults=(*_MOVING_MODEL_FAULTS, "role-camera_position"),
         spec=_eye_position_model,
-        frames=_TWO_SIDES,
+        frames=_OPPOSITE_VIEW_FRAMES,
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="viewport",
         tests="The size of the picture as an input.",
         faults=(*COMMON_SH_FAULTS, "role-viewport", "viewport-order"),
@@ -140,14 +149,14 @@ INPUT_CASES: tuple[KitCase, ...] = (
         frames=(orbit_frame(),),
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="camera-lens",
         tests="A principal point beside the middle, and pixels that are not square.",
         faults=(*COMMON_SH_FAULTS, "intrinsics", "order"),
         spec=lambda: still(40),
         frames=(KitFrame(camera=kit_camera(fx=70.0, fy=48.0, cx=24.0, cy=30.0)),),
     ),
-    KitCase(
+    ViewerKitCase(
         name="among-gaussians",
         tests="A camera among the Gaussians, of which some lie behind it.",
         faults=(*COMMON_SH_FAULTS, "behind-camera", "order"),
@@ -155,10 +164,10 @@ INPUT_CASES: tuple[KitCase, ...] = (
         frames=(KitFrame(camera=kit_camera((0.1, 0.05, -0.3))),),
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="time-in-seconds",
         tests="Time from 2 to 10, forth and back.",
-        faults=(*_MOVING_FAULTS, "time-range", "role-time", "order"),
+        faults=(*_MOVING_MODEL_FAULTS, "time-range", "role-time", "order"),
         spec=lambda: drifting_model(12, span=(2.0, 10.0)),
         frames=tuple(orbit_frame(time=[time]) for time in (2.0, 10.0, 5.0, 2.0)),
     ),
@@ -186,10 +195,10 @@ INPUT_CASES: tuple[KitCase, ...] = (
         orbit_frame(turn=[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="coefficients",
         tests="Coefficients of a body's shape and of its expression.",
-        faults=(*_MOVING_FAULTS, "role-shape", "role-expression"),
+        faults=(*_MOVING_MODEL_FAULTS, "role-shape", "role-expression"),
         spec=_coefficients,
         frames=(
             orbit_frame(betas=_random_array(5, 10), face=_random_array(6, 5)),
@@ -212,7 +221,7 @@ INPUT_CASES: tuple[KitCase, ...] = (
         moving.slider,
         *(orbit_frame(amount=[amount]) for amount in (2.0, 0.0)),
     ),
-    KitCase(
+    ViewerKitCase(
         name="default",
         tests="A slider without a value, which has the default of the manifest.",
         faults=(*COMMON_SH_FAULTS, "default"),

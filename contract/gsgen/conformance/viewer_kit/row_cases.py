@@ -14,15 +14,15 @@ from gsgen.conformance.fixtures.valid import still as valid
 from gsgen.conformance.viewer_kit.case import (
     COMMON_FAULTS,
     COMMON_SH_FAULTS,
-    KitCase,
     KitFrame,
+    ViewerKitCase,
     kit_camera,
     orbit_frame,
 )
 from gsgen.contract.spec.manifest import AppearanceOutput, WeightedSum
 
-_ONE_FRAME = (orbit_frame(),)
-_TWO_FRAMES = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
+_ORBIT_FRAME_ONLY = (orbit_frame(),)
+_FAR_AND_ORBIT_FRAMES = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
 _SH_FAULTS = (*COMMON_FAULTS, "sh-offset", "sh-order", "sh-direction")
 _SORTED_SH_FAULTS = (*_SH_FAULTS, "sh-clamp", "order")
 _SH_GAIN = 4.0  # colours that change enough with the direction to be seen
@@ -89,78 +89,78 @@ def _weighted_sum_model() -> ModelSpec:
     )
 
 
-ROW_CASES: tuple[KitCase, ...] = (
-    KitCase(
+ROW_CASES: tuple[ViewerKitCase, ...] = (
+    ViewerKitCase(
         name="sh-degree-0",
         tests="One colour for each Gaussian, in three channels.",
         faults=(*COMMON_SH_FAULTS, "order"),
         spec=lambda: _scene_model("surface", 0),
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="sh-degree-1",
         tests="Twelve channels of SH, seen from two sides.",
         faults=(*_SORTED_SH_FAULTS, "sh-stride", "order-distance"),
         spec=lambda: _scene_model("surface", 1),
-        frames=_TWO_FRAMES,
+        frames=_FAR_AND_ORBIT_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="sh-degree-2",
         tests="Twenty-seven channels of SH, seen from two sides.",
         faults=(*_SORTED_SH_FAULTS, "sh-stride"),
         spec=lambda: _scene_model("hair", 2),
-        frames=_TWO_FRAMES,
+        frames=_FAR_AND_ORBIT_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="sh-degree-3",
         tests="Forty-eight channels of SH, seen from two sides.",
         faults=(*_SORTED_SH_FAULTS, "order-distance"),
         spec=lambda: _scene_model("surface", 3),
-        frames=_TWO_FRAMES,
+        frames=_FAR_AND_ORBIT_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="sh-float16",
         tests="Rows and SH of degree 3 in float16.",
         faults=(*_SORTED_SH_FAULTS, "float16", "order-distance"),
         spec=lambda: _scene_model("avatar", 3, "float16"),
-        frames=_TWO_FRAMES,
+        frames=_FAR_AND_ORBIT_FRAMES,
     ),
-    KitCase(
+    ViewerKitCase(
         name="rgb",
         tests="Raw RGB of three channels, without harmonics.",
         faults=(*COMMON_FAULTS, "order"),
         spec=lambda: _scene_model("cloud", None),
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="rgb-four-channels",
         tests="Raw RGB with a fourth channel that has no meaning.",
         faults=(*COMMON_FAULTS, "fourth-channel", "order", "order-distance"),
         spec=_four_channels,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="rgb-float16",
         tests="Raw RGB in float16, padded to four channels.",
         faults=(*COMMON_FAULTS, "float16", "fourth-channel", "order"),
         spec=lambda: _scene_model("cloud", None, "float16"),
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="linear-color",
         tests="Colours in linear light, which the screen shows encoded as sRGB.",
         faults=("rows", "dilation", "color-space", "order"),
         spec=_linear_color_model,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="antialias-mip",
         tests="Gaussians thinner than a pixel, which antialiasing makes fainter.",
         faults=(*COMMON_SH_FAULTS, "antialias"),
         spec=_antialiased_model,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="one-gaussian",
         tests="A capacity of one row.",
         faults=(*COMMON_FAULTS, "sh-offset"),
@@ -168,22 +168,22 @@ ROW_CASES: tuple[KitCase, ...] = (
         frames=(KitFrame(camera=kit_camera((0.6, -0.4, -1.2))),),
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="three-hundred",
         tests="Three hundred rows, which do not fill whole workgroups.",
         faults=(*COMMON_SH_FAULTS, "order", "order-distance"),
         spec=lambda: still(300),
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="count-below-capacity",
         tests="Rows behind the count hold Gaussians that must not be drawn.",
         faults=(*COMMON_SH_FAULTS, "count"),
         spec=_stale_rows,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
         breaks=("GV018",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="count-changes",
         tests="A count that differs from frame to frame and ends at 0, an empty picture.",
         faults=(*COMMON_SH_FAULTS, "count", "stale-count", "stale-outputs", "role-time"),
@@ -191,27 +191,27 @@ ROW_CASES: tuple[KitCase, ...] = (
         frames=tuple(orbit_frame(time=[time]) for time in (0.5, 1.0, 0.25, 0.0)),
         breaks=("GV018",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="output-names",
         tests="The first output of the graph has the shape of rows, but the manifest names another.",
         faults=(*COMMON_SH_FAULTS, "output-names"),
         spec=_decoy_output_model,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
-    KitCase(
+    ViewerKitCase(
         name="external-data",
         tests="Colours in a file beside the model.",
         faults=(*COMMON_SH_FAULTS, "external-data"),
         spec=valid.weights_beside.draw,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
         slight=("dilation",),
     ),
-    KitCase(
+    ViewerKitCase(
         name="weighted-sum",
         tests="Gaussians in cells, summed by weights instead of sorted.",
         faults=(*_SH_FAULTS, "sh-stride", "weighted-sum"),
         spec=_weighted_sum_model,
-        frames=_ONE_FRAME,
+        frames=_ORBIT_FRAME_ONLY,
     ),
 )
 """The cases of outputs."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.conformance.viewer_kit import check_viewer, picture_files
-from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
+from gsgen.conformance.viewer_kit.case import KitFrame, ViewerKitCase
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
@@ -32,7 +32,7 @@ _IMPORT_PATTERN = re.compile(rf"from {re.escape(picture_files.__name__)} import 
 DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h w 3"]]]
 
 
-def kit_cases() -> tuple[KitCase, ...]:
+def kit_cases() -> tuple[ViewerKitCase, ...]:
     """Return all test cases of the viewer test kit, each with a model and the frames to draw."""
     return (*ROW_CASES, *INPUT_CASES)
 
@@ -80,7 +80,7 @@ def _script() -> str:
     return script
 
 
-def _write_case(folder: Path, case: KitCase, draw: DrawFrames) -> dict[str, Any]:
+def _write_case(folder: Path, case: ViewerKitCase, draw: DrawFrames) -> dict[str, Any]:
     model = folder / "models" / f"{case.name}.onnx"
     case.spec().write(model)
     entries = []

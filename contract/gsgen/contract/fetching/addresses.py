@@ -7,7 +7,7 @@ from urllib.parse import quote, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid
 
-_PORTS: Final = {"http": 80, "https": 443}
+_DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 _PATH_CHARACTERS: Final = "/%:@!$&'()*+,;=~"
 
 
@@ -21,7 +21,7 @@ class Origin(NamedTuple):
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
-        suffix = "" if self.port == _PORTS[self.scheme] else f":{self.port}"
+        suffix = "" if self.port == _DEFAULT_PORTS[self.scheme] else f":{self.port}"
         return f"{self.scheme}://{host}{suffix}"
 
 
@@ -41,14 +41,14 @@ def parse_address(text: str) -> WebAddress:
     """
     parts = urlsplit(text)
     scheme = parts.scheme.lower()
-    if scheme not in _PORTS:
+    if scheme not in _DEFAULT_PORTS:
         raise ValueError("it is not an http or https address")
     if parts.username is not None or parts.password is not None:
         raise ValueError("it has a user name or password")
     host = (parts.hostname or "").encode("idna").decode() if parts.hostname else ""
     if not host or any(ord(character) <= 32 for character in host):
         raise ValueError("it has no host")
-    port = _PORTS[scheme] if parts.port is None else parts.port
+    port = _DEFAULT_PORTS[scheme] if parts.port is None else parts.port
     target = quote(parts.path or "/", safe=_PATH_CHARACTERS)
     if parts.query:
         target += "?" + quote(parts.query, safe=_PATH_CHARACTERS + "?")

@@ -14,9 +14,9 @@ from typing import BinaryIO, Final, TypeVar, final
 from urllib.parse import urljoin
 
 from gsgen.contract.fetching.addresses import WebAddress, parse_address, parse_origin
-from gsgen.contract.fetching.connections import FAILURES, ConnectionPool, WebConnection
+from gsgen.contract.fetching.connections import CONNECTION_ERRORS, ConnectionPool, WebConnection
 from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
-from gsgen.contract.fetching.errors import AddressRefused, ServerUnavailable
+from gsgen.contract.fetching.errors import AddressNotAllowed, ServerUnavailable
 from gsgen.contract.fetching.response_body import body_chunks
 from gsgen.contract.fetching.responses import FilePart, check_status
 
@@ -30,11 +30,11 @@ _REDIRECTS: Final = (301, 302, 303, 307, 308)
 _MAX_UNDECLARED: Final = 32 << 20
 """Most bytes in memory of a response that is compressed, or does not declare its length."""
 
-_LASTING: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierror)
+_PERMANENT_ERRORS: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierror)
 """Failures to connect that another attempt would meet, too."""
 
 Result = TypeVar("Result")
-OnBytes = Callable[[int], None]
+ByteProgressCallback = Callable[[int], None]
 
 
 def _ignore_bytes(received: int) -> None:
@@ -131,7 +131,7 @@ class WebClient:
         max_bytes: int,
         start: int = 0,
         size: int | None = None,
-        on_bytes: OnBytes = _ignore_bytes,
+        on_bytes: ByteProgressCallback = _ignore_bytes,
         deadline: Deadline | None = None,
     ) -> bytes:
         """Return the bytes of a file on a web server, or a range of them.
@@ -177,7 +177,9 @@ class WebClient:
         part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
         self._copy(part, into, _ignore_bytes, deadline or self.deadline())
 
-    def _copy(self, part: FilePart, into: BinaryIO, on_bytes: OnBytes, deadline: Deadline) -> None:
+    def _copy(
+        self, part: FilePart, into: BinaryIO, on_bytes: ByteProgressCallback, deadline: Deadline
+    ) -> None:
         def attempt() -> None:
             into.seek(0)
             into.truncate()
@@ -283,12 +285,12 @@ class WebClient:
         except ValueError:
             target = None
         if target is None:
-            raise AddressRefused(
+            raise AddressNotAllowed(
                 f"the server redirects to {location!r:.200}; expected an address of {allowed}",
                 where=address,
             )
         if target.origin not in self._allowed:
-            raise AddressRefused(
+            raise AddressNotAllowed(
                 f"the server redirects to {redirected!r:.200}; expected an address of {allowed}",
                 where=address,
                 hint=f"Trust it with --allow-origin {target.origin}.",
@@ -334,12 +336,12 @@ class WebClient:
             raise ServerUnavailable(
                 text, where=address, hint=f"{FETCH_SECONDS} sets the seconds for a file."
             ) from error
-        except FAILURES as error:
+        except CONNECTION_ERRORS as error:
             reason = ascii(str(error) or type(error).__name__)[1:-1]  # it may quote the server
             raise ServerUnavailable(
                 f"{start} ({reason:.200})",
                 where=address,
-                is_transient=not isinstance(error, _LASTING),
+                is_transient=not isinstance(error, _PERMANENT_ERRORS),
             ) from error
 
 
@@ -347,4 +349,4 @@ def _parse(address: str) -> WebAddress:
     try:
         return parse_address(address)
     except ValueError as error:
-        raise AddressRefused(f"is not a web address: {error}", where=address) from error
+        raise AddressNotAllowed(f"is not a web address: {error}", where=address) from error

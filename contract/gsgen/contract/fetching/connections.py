@@ -1,6 +1,6 @@
 """Connections to web servers that send requests and read headers within a deadline."""
 
-__all__ = ["FAILURES", "ConnectionPool", "WebConnection"]
+__all__ = ["CONNECTION_ERRORS", "ConnectionPool", "WebConnection"]
 
 import http.client
 from threading import Lock
@@ -9,10 +9,10 @@ from typing import Final, final
 from gsgen.contract.fetching.addresses import Origin
 from gsgen.contract.fetching.deadline import Deadline, DeadlineSocket, connect
 
-FAILURES: Final = (OSError, http.client.HTTPException, ValueError)
+CONNECTION_ERRORS: Final = (OSError, http.client.HTTPException, ValueError)
 """What broken and hostile servers make ``http.client`` raise."""
-_MOST_INTERIM: Final = 16  # responses with a status from 100 to 199 before the real one
-_MOST_IDLE: Final = 8
+_MAX_INTERIM_RESPONSES: Final = 16  # responses with a status from 100 to 199 before the real one
+_MAX_IDLE_CONNECTIONS: Final = 8
 _LONGEST_NUMBER: Final = 18  # digits of a number that fits 64 bits
 
 
@@ -21,12 +21,12 @@ class _Response(http.client.HTTPResponse):
     """A response whose interim responses are skipped, but not without end."""
 
     def _read_status(self) -> tuple[str, int, str]:
-        for _ in range(_MOST_INTERIM):
+        for _ in range(_MAX_INTERIM_RESPONSES):
             version, status, reason = super()._read_status()  # type: ignore[misc]
             if not 100 <= status < 200:
                 return version, status, reason
             http.client.parse_headers(self.fp)
-        raise http.client.HTTPException(f"more than {_MOST_INTERIM} interim responses")
+        raise http.client.HTTPException(f"more than {_MAX_INTERIM_RESPONSES} interim responses")
 
 
 @final
@@ -126,7 +126,7 @@ class ConnectionPool:
             response.close()
         with self._lock:
             self._busy.discard(connection)
-            if is_reusable and not self.is_closed and len(self._idle) < _MOST_IDLE:
+            if is_reusable and not self.is_closed and len(self._idle) < _MAX_IDLE_CONNECTIONS:
                 connection.is_reused = True
                 self._idle.append(connection)
                 return

@@ -1,6 +1,12 @@
 """Errors of reading files from web servers: one class for each thing that a user can do."""
 
-__all__ = ["AddressRefused", "FetchFailed", "FileMissing", "ResponseTooLarge", "ServerUnavailable"]
+__all__ = [
+    "AddressNotAllowed",
+    "FetchFailed",
+    "FileMissing",
+    "ResponseTooLarge",
+    "ServerUnavailable",
+]
 
 from typing import final
 
@@ -12,7 +18,7 @@ class FetchFailed(InputUnreadable):
 
 
 @final
-class AddressRefused(FetchFailed):
+class AddressNotAllowed(FetchFailed):
     """Raised if an address is malformed, or a redirect leads to an origin that is not allowed."""
 
 

@@ -10,7 +10,7 @@ from typing import Final
 from gsgen.contract.fetching.deadline import Deadline, DeadlineSocket
 
 _CHUNK_BYTES: Final = 1 << 18
-_SLOWEST: Final = 1024  # bytes that a server has to send in each stall time
+_MIN_BYTES_PER_STALL_TIME: Final = 1024  # bytes that a server has to send in each stall time
 _ZLIB_FORMATS: Final = {"gzip": 31, "x-gzip": 31, "deflate": 15}
 _CODING_OVERHEAD: Final = 1 << 16  # bytes that a coded body may be larger than its content
 
@@ -61,7 +61,7 @@ def _received_chunks(
         if missing is not None:
             missing -= len(chunk)
         window_bytes += len(chunk)
-        if window_bytes >= _SLOWEST:
+        if window_bytes >= _MIN_BYTES_PER_STALL_TIME:
             window, window_bytes = deadline.within(stall), 0
         yield chunk
     if missing:

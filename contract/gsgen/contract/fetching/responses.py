@@ -13,7 +13,7 @@ from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, Server
 
 _NOT_FOUND: Final = (404, 410)
 _TRANSIENT_STATUSES: Final = (429, 500, 502, 503, 504)
-_MOST_DIGITS: Final = 15  # of a Retry-After
+_MAX_RETRY_AFTER_DIGITS: Final = 15  # of a Retry-After
 
 
 @final
@@ -103,7 +103,7 @@ def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> No
 def _retry_after(text: str) -> float:
     """Return the seconds of a ``Retry-After`` header, which may be a date; 0 if malformed."""
     if text.isascii() and text.isdigit():
-        return float(text[:_MOST_DIGITS])
+        return float(text[:_MAX_RETRY_AFTER_DIGITS])
     try:
         date = parsedate_to_datetime(text)
         return max(0.0, (date - datetime.now(date.tzinfo or UTC)).total_seconds())

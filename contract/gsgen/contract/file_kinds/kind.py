@@ -2,9 +2,9 @@
 
 __all__ = [
     "CAMERAS",
-    "DOWNLOAD",
-    "DRAWN",
-    "EXPORT",
+    "DOWNLOAD_AGAIN_HINT",
+    "EXPORT_SPLATS_HINT",
+    "MESH_RENDER_HINT",
     "MODEL",
     "SPLATS",
     "TILESET",
@@ -19,14 +19,16 @@ SPLATS: Final = (
     "`gsgen render` draws it, `gsgen convert` writes other formats, and `gsgen export static` "
     "makes a model of it."
 )
-DRAWN: Final = "A mesh: `gsgen render` draws it."
+MESH_RENDER_HINT: Final = "A mesh: `gsgen render` draws it."
 MODEL: Final = (
     "`gsgen render` draws it, `gsgen bake` writes its splats, `gsgen validate` checks it."
 )
 TILESET: Final = "`gsgen render`, `gsgen validate` and `gsgen tiles info` take its tileset.json."
 CAMERAS: Final = "Cameras: give it to `gsgen render --camera`, beside the scene."
-EXPORT: Final = "Export splats as PLY, or a mesh as GLB, with the program that wrote it."
-DOWNLOAD: Final = "Copy or download the file again."
+EXPORT_SPLATS_HINT: Final = (
+    "Export splats as PLY, or a mesh as GLB, with the program that wrote it."
+)
+DOWNLOAD_AGAIN_HINT: Final = "Copy or download the file again."
 UNPACK: Final = "Unpack it, and name one file of it."
 
 

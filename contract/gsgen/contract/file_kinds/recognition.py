@@ -1,6 +1,6 @@
 """Tells the kind of a file from its first bytes, and for an archive from the names within."""
 
-__all__ = ["HEAD_BYTES", "archive_kind", "kind_of", "kind_of_file"]
+__all__ = ["RECOGNITION_BYTES", "archive_kind", "kind_of", "kind_of_file"]
 
 import os
 import zipfile
@@ -11,9 +11,9 @@ from pathlib import PurePath
 from typing import BinaryIO, Final
 
 from gsgen.contract.file_kinds.kind import (
-    DOWNLOAD,
-    DRAWN,
-    EXPORT,
+    DOWNLOAD_AGAIN_HINT,
+    EXPORT_SPLATS_HINT,
+    MESH_RENDER_HINT,
     SPLATS,
     TILESET,
     UNPACK,
@@ -22,12 +22,12 @@ from gsgen.contract.file_kinds.kind import (
 from gsgen.contract.file_kinds.signatures import kind_by_signature
 from gsgen.contract.file_kinds.text_kinds import SPLAT_EXTENSION, decoded_text, ply_kind, text_kind
 
-HEAD_BYTES: Final = 1 << 16
+RECOGNITION_BYTES: Final = 1 << 16
 """The bytes at the beginning of a file that decide."""
 
 _ZIP, _GZIP = b"PK\x03\x04", b"\x1f\x8b"
 _MAX_NESTING: Final = 2
-_MOST_NAMES: Final = 4
+_MAX_LISTED_MEMBERS: Final = 4
 
 
 def kind_of_file(path: str | os.PathLike[str]) -> FileKind | None:
@@ -37,7 +37,7 @@ def kind_of_file(path: str | os.PathLike[str]) -> FileKind | None:
         OSError: The file cannot be read.
     """
     with open(path, "rb") as file:
-        head = file.read(HEAD_BYTES)
+        head = file.read(RECOGNITION_BYTES)
         return kind_of(head, file)
 
 
@@ -45,7 +45,7 @@ def kind_of(head: bytes, file: BinaryIO | None = None) -> FileKind | None:
     """Return the kind of a file from its first bytes; None if its content is not known.
 
     Args:
-        head: The first ``HEAD_BYTES`` bytes, or the whole of a smaller file.
+        head: The first ``RECOGNITION_BYTES`` bytes, or the whole of a smaller file.
         file: The file, whose list of members says what a ZIP archive holds.
     """
     return _kind(head, file, 0)
@@ -70,23 +70,25 @@ def _kind(head: bytes, file: BinaryIO | None, nesting: int) -> FileKind | None:
     if text is not None:
         return text_kind(text)
     if not any(head):
-        return FileKind(name="zeros", title="a file that begins with zeros only", hint=DOWNLOAD)
+        return FileKind(
+            name="zeros", title="a file that begins with zeros only", hint=DOWNLOAD_AGAIN_HINT
+        )
     return None
 
 
 def _glb_kind(head: bytes) -> FileKind:
     if head[4:8] == b"\x01\0\0\0":
-        return FileKind(name="glb", title="a GLB file of version 1", hint=EXPORT)
+        return FileKind(name="glb", title="a GLB file of version 1", hint=EXPORT_SPLATS_HINT)
     if SPLAT_EXTENSION.encode() in head or b'"_ROTATION"' in head:
         return FileKind(name="glb-splats", title="a GLB file of splats", hint=SPLATS)
-    return FileKind(name="glb", title="a GLB file without splats", hint=DRAWN)
+    return FileKind(name="glb", title="a GLB file without splats", hint=MESH_RENDER_HINT)
 
 
 def _gzip_kind(head: bytes, nesting: int) -> FileKind:
     try:
-        content = zlib.decompressobj(wbits=31).decompress(head, HEAD_BYTES)
+        content = zlib.decompressobj(wbits=31).decompress(head, RECOGNITION_BYTES)
     except zlib.error:
-        return FileKind(name="gzip", title="a damaged gzip file", hint=DOWNLOAD)
+        return FileKind(name="gzip", title="a damaged gzip file", hint=DOWNLOAD_AGAIN_HINT)
     if content.startswith(b"NGSP"):
         return FileKind(name="spz", title="an SPZ file of splats", hint=SPLATS)
     inner = None
@@ -105,7 +107,7 @@ def _zip_kind(head: bytes, file: BinaryIO | None) -> FileKind:
         if file is None:
             return FileKind(name="zip", title="a ZIP archive", hint=UNPACK)
         title = "a damaged or cut off ZIP archive"
-        return FileKind(name="damaged-zip", title=title, hint=DOWNLOAD)
+        return FileKind(name="damaged-zip", title=title, hint=DOWNLOAD_AGAIN_HINT)
 
 
 def archive_kind(names: Sequence[str]) -> FileKind:
@@ -128,10 +130,14 @@ def archive_kind(names: Sequence[str]) -> FileKind:
     if "meta.json" in bases and ".webp" in suffixes:
         return FileKind(name="sog", title="a SOG file of splats", hint=SPLATS)
     if files and PurePath(files[0]).suffix.lower() in (".usda", ".usdc", ".usd"):
-        return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT)
+        return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT_SPLATS_HINT)
     if "[content_types].xml" in bases:
-        return FileKind(name="office", title="an office document or 3MF model", hint=EXPORT)
-    shown = ", ".join(files[:_MOST_NAMES]) + (", …" if len(files) > _MOST_NAMES else "")
-    count = f"{len(files)} files: " if len(files) > _MOST_NAMES else ""
+        return FileKind(
+            name="office", title="an office document or 3MF model", hint=EXPORT_SPLATS_HINT
+        )
+    shown = ", ".join(files[:_MAX_LISTED_MEMBERS]) + (
+        ", …" if len(files) > _MAX_LISTED_MEMBERS else ""
+    )
+    count = f"{len(files)} files: " if len(files) > _MAX_LISTED_MEMBERS else ""
     title = f"a ZIP archive of {count}{shown}" if files else "a ZIP archive without files"
     return FileKind(name="zip", title=title, hint=UNPACK)

@@ -4,7 +4,14 @@ __all__ = ["kind_by_signature"]
 
 from typing import Final
 
-from gsgen.contract.file_kinds.kind import DOWNLOAD, EXPORT, MODEL, SPLATS, UNPACK, FileKind
+from gsgen.contract.file_kinds.kind import (
+    DOWNLOAD_AGAIN_HINT,
+    EXPORT_SPLATS_HINT,
+    MODEL,
+    SPLATS,
+    UNPACK,
+    FileKind,
+)
 
 _OLD_TILES = (
     "Upgrade its tileset to 3D Tiles 1.1, whose contents are GLB: `3d-tiles-tools upgrade`."
@@ -22,17 +29,17 @@ _SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
     (0, b"pnts", "pnts", "a tile of 3D Tiles 1.0 with points (pnts)", _OLD_TILES),
     (0, b"cmpt", "cmpt", "a composite tile of 3D Tiles 1.0 (cmpt)", _OLD_TILES),
     (0, b"subt", "subtree", "a subtree of an implicit tileset", "Name its tileset.json."),
-    (0, b"Kaydara FBX Binary", "fbx", "an FBX file", EXPORT),
-    (0, b"PXR-USDC", "usd", "a USD file (binary, usdc)", EXPORT),
-    (0, b"#usda", "usd", "a USD file (text, usda)", EXPORT),
-    (0, b"RAD0", "rad", "a RAD file of splats (Spark)", EXPORT),
-    (0, b"RADC", "rad", "a chunk of a RAD file of splats (Spark)", EXPORT),
+    (0, b"Kaydara FBX Binary", "fbx", "an FBX file", EXPORT_SPLATS_HINT),
+    (0, b"PXR-USDC", "usd", "a USD file (binary, usdc)", EXPORT_SPLATS_HINT),
+    (0, b"#usda", "usd", "a USD file (text, usda)", EXPORT_SPLATS_HINT),
+    (0, b"RAD0", "rad", "a RAD file of splats (Spark)", EXPORT_SPLATS_HINT),
+    (0, b"RADC", "rad", "a chunk of a RAD file of splats (Spark)", EXPORT_SPLATS_HINT),
     (0, b"LASF", "las", "a point cloud in LAS or LAZ", _POINTS),
     (0, b"ASTM-E57", "e57", "a point cloud in E57", _POINTS),
     (0, b"# .PCD", "pcd", "a point cloud in PCD", _POINTS),
-    (0, b"DRACO", "draco", "a mesh or point cloud in Draco", EXPORT),
-    (0, b"BLENDER", "blend", "a Blender file", EXPORT),
-    (0, b"Ogawa", "alembic", "an Alembic file", EXPORT),
+    (0, b"DRACO", "draco", "a mesh or point cloud in Draco", EXPORT_SPLATS_HINT),
+    (0, b"BLENDER", "blend", "a Blender file", EXPORT_SPLATS_HINT),
+    (0, b"Ogawa", "alembic", "an Alembic file", EXPORT_SPLATS_HINT),
     (0, b"\x89PNG", "picture", "a PNG picture", _PICTURE),
     (0, b"\xff\xd8\xff", "picture", "a JPEG picture", _PICTURE),
     (0, b"GIF8", "picture", "a GIF picture", _PICTURE),
@@ -58,7 +65,7 @@ _SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
     (0, b"\xfd7zXZ\0", "archive", "an xz file", UNPACK),
     (0, b"(\xb5/\xfd", "archive", "a Zstandard file", UNPACK),
     (257, b"ustar", "archive", "a tar archive", UNPACK),
-    (0, b"PK\x05\x06", "zip", "an empty ZIP archive", DOWNLOAD),
+    (0, b"PK\x05\x06", "zip", "an empty ZIP archive", DOWNLOAD_AGAIN_HINT),
     (0, b"\x93NUMPY", "npy", "a NumPy array", "Save named arrays with `np.savez`."),
     (0, b"\x89HDF", "hdf5", "an HDF5 file", _TENSORS),
     (0, b"GGUF", "gguf", "a file of weights (GGUF)", _TENSORS),

@@ -9,9 +9,9 @@ from typing import Final
 
 from gsgen.contract.file_kinds.kind import (
     CAMERAS,
-    DOWNLOAD,
-    DRAWN,
-    EXPORT,
+    DOWNLOAD_AGAIN_HINT,
+    EXPORT_SPLATS_HINT,
+    MESH_RENDER_HINT,
     SPLATS,
     TILESET,
     FileKind,
@@ -21,9 +21,9 @@ SPLAT_EXTENSION: Final = "KHR_gaussian_splatting"
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:]')
 _OBJ_LINE = re.compile(r"(v|vn|vt|f|o|g|s|mtllib|usemtl)\s+\S")
-_NUMBER_ROW = re.compile(r"[-+\d.eE]+(?:[\s,;]+[-+\d.eEnaifNAIF]+)+")
+_NUMBER_ROW_PATTERN = re.compile(r"[-+\d.eE]+(?:[\s,;]+[-+\d.eEnaifNAIF]+)+")
 _ERROR_KEYS = {"error", "errors", "message", "detail", "status", "statuscode", "code", "title"}
-_MOST_KEYS = 6
+_MAX_LISTED_KEYS = 6
 
 # Keys that an object has all of → name, title, hint; the first match counts.
 _OBJECTS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
@@ -34,8 +34,8 @@ _OBJECTS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
     ({"means", "scales"}, "sog", "the meta.json of a SOG", SPLATS),
     ({"means", "quats"}, "sog", "the meta.json of a SOG", SPLATS),
     ({"gsgen_scene"}, "scene", "a scene file of gsgen", "`gsgen render` and `gsgen view` draw it."),
-    ({"totalSplats"}, "lcc", "an LCC file of splats (XGRIDS)", EXPORT),
-    ({"totalLevel", "cellLengthX"}, "lcc", "an LCC file of splats (XGRIDS)", EXPORT),
+    ({"totalSplats"}, "lcc", "an LCC file of splats (XGRIDS)", EXPORT_SPLATS_HINT),
+    ({"totalLevel", "cellLengthX"}, "lcc", "an LCC file of splats (XGRIDS)", EXPORT_SPLATS_HINT),
     ({"frames", "camera_angle_x"}, "cameras", "a file of cameras (transforms.json)", CAMERAS),
     ({"frames", "fl_x"}, "cameras", "a file of cameras (transforms.json)", CAMERAS),
     ({"frames", "w"}, "cameras", "a file of cameras (transforms.json)", CAMERAS),
@@ -86,16 +86,16 @@ def text_kind(text: str) -> FileKind:
     if low.startswith(("# camera list with", "# image list with", "# 3d point list with")):
         return FileKind(name="colmap", title="a text file of COLMAP", hint=CAMERAS)
     if low.startswith("; fbx"):
-        return FileKind(name="fbx", title="an FBX file (text)", hint=EXPORT)
+        return FileKind(name="fbx", title="an FBX file (text)", hint=EXPORT_SPLATS_HINT)
     if low.startswith("solid ") and "facet" in low:
-        return FileKind(name="stl", title="an STL mesh (text)", hint=DRAWN)
+        return FileKind(name="stl", title="an STL mesh (text)", hint=MESH_RENDER_HINT)
     if low.startswith(("# .pcd", "version .7", "version 0.7")):
         hint = "A point cloud: convert it to a PLY with x, y, z and colours."
         return FileKind(name="pcd", title="a point cloud in PCD", hint=hint)
     lines = [line for line in start.splitlines()[:200] if line and not line.startswith("#")]
     if lines and all(_OBJ_LINE.match(line) for line in lines[:-1] or lines):
-        return FileKind(name="obj", title="an OBJ mesh", hint=DRAWN)
-    if lines and all(_NUMBER_ROW.fullmatch(line.strip()) for line in lines[:-1] or lines):
+        return FileKind(name="obj", title="an OBJ mesh", hint=MESH_RENDER_HINT)
+    if lines and all(_NUMBER_ROW_PATTERN.fullmatch(line.strip()) for line in lines[:-1] or lines):
         hint = "Write points as a PLY with x, y, z and colours."
         return FileKind(name="numbers", title="a table of numbers as text", hint=hint)
     first_line = start.partition("\n")[0].strip()
@@ -120,7 +120,9 @@ def _markup_kind(start: str, low: str) -> FileKind:
         ("<kml", "KML"),
     ):
         if word in low:
-            return FileKind(name="xml", title=name, hint=EXPORT if name.startswith("a C") else "")
+            return FileKind(
+                name="xml", title=name, hint=EXPORT_SPLATS_HINT if name.startswith("a C") else ""
+            )
     return FileKind(name="xml", title="an XML document")
 
 
@@ -138,15 +140,17 @@ def json_kind(text: str) -> FileKind:
     if _GLTF_KEYS & keys.keys() and ("asset" in keys or len(_GLTF_KEYS & keys.keys()) > 1):
         if SPLAT_EXTENSION in text:
             return FileKind(name="gltf-splats", title="a glTF file of splats", hint=SPLATS)
-        return FileKind(name="gltf", title="a glTF file without splats", hint=DRAWN)
-    if keys and {key.lower() for key in keys} & _ERROR_KEYS and len(keys) <= _MOST_KEYS:
+        return FileKind(name="gltf", title="a glTF file without splats", hint=MESH_RENDER_HINT)
+    if keys and {key.lower() for key in keys} & _ERROR_KEYS and len(keys) <= _MAX_LISTED_KEYS:
         values = [keys[key] for key in keys if key.lower() in _ERROR_KEYS and keys[key]]
         reason = f" ({values[0]})" if values else ""
         hint = "The server refused the download: check the address, or sign in."
         return FileKind(name="error", title=f"an error message in JSON{reason}", hint=hint)
     if not keys:
         return FileKind(name="json", title="a JSON document without keys")
-    names = ", ".join(list(keys)[:_MOST_KEYS]) + (", …" if len(keys) > _MOST_KEYS else "")
+    names = ", ".join(list(keys)[:_MAX_LISTED_KEYS]) + (
+        ", …" if len(keys) > _MAX_LISTED_KEYS else ""
+    )
     return FileKind(name="json", title=f"a JSON document with the keys {names}")
 
 
@@ -205,8 +209,8 @@ def ply_kind(head: bytes) -> FileKind:
     if _PLY_SPLATS.search(header):
         return FileKind(name="ply-splats", title="a PLY of splats", hint=SPLATS)
     if counts.get("face") or counts.get("tristrips"):
-        return FileKind(name="ply-mesh", title="a PLY mesh", hint=DRAWN)
+        return FileKind(name="ply-mesh", title="a PLY mesh", hint=MESH_RENDER_HINT)
     if "vertex" in counts:
         hint = "Points with colours: `gsgen export static` makes splats of them."
         return FileKind(name="ply-points", title="a PLY point cloud", hint=hint)
-    return FileKind(name="ply", title="a PLY file without vertices", hint=DOWNLOAD)
+    return FileKind(name="ply", title="a PLY file without vertices", hint=DOWNLOAD_AGAIN_HINT)

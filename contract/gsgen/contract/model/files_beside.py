@@ -17,9 +17,9 @@ from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.model.graph import stored_bytes
 from gsgen.contract.model.model_file import ExternalRef, ModelFile, open_model, parse_length
 
-_BESIDE = "a file beside the model"
+_FILE_BESIDE_MODEL = "a file beside the model"
 # ONNX Runtime takes this name for an address in its memory; Windows allows no such name.
-_RESERVED = "*"
+_REFUSED_LOCATION_CHARACTER = "*"
 
 
 class FileRefused(ModelUnreadable):
@@ -56,8 +56,8 @@ def contained_file(model: Path, location: str) -> Path:
 
 def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
     """Return the real path of a file that a model names, or its fault and the expected file."""
-    if not location or "\0" in location or _RESERVED in location:
-        return "no file name", _BESIDE
+    if not location or "\0" in location or _REFUSED_LOCATION_CHARACTER in location:
+        return "no file name", _FILE_BESIDE_MODEL
     if _leads_out(location):
         return "leads out of the model's folder", "a relative path below it"
     named = model.parent.resolve() / model.name
@@ -71,10 +71,10 @@ def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
             return f"is a link to {path}", "a file below the model's folder"
         status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
     except (FileNotFoundError, NotADirectoryError):
-        return "no such file", _BESIDE
+        return "no such file", _FILE_BESIDE_MODEL
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
-        return f"cannot be looked up: {reason}", _BESIDE
+        return f"cannot be looked up: {reason}", _FILE_BESIDE_MODEL
     if not stat.S_ISREG(status.st_mode):
         return "is a folder, a pipe or a device", "a regular file beside the model"
     if status.st_nlink > 1:  # it may be another program's file, under a second name

@@ -23,7 +23,7 @@ from gsgen.contract.spec.manifest import (
     Input,
     Manifest,
 )
-from gsgen.contract.spec.manifest_io import Parsed, parse
+from gsgen.contract.spec.manifest_io import ParsedManifest, parse
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import operator_table
 from gsgen.contract.spec.targets import Target
@@ -45,7 +45,7 @@ class InspectedModel:
 
     file: ModelFile
     graph: Graph
-    parsed: Parsed | None
+    parsed: ParsedManifest | None
     candidate: Candidate | None
     target: Target
     limits: Limits

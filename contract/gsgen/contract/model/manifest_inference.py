@@ -11,7 +11,7 @@ from typing import Literal
 
 from gsgen.contract.model.graph import Graph, Tensor, static_dims
 from gsgen.contract.spec.fields.roles import ROLES, Shape, matching_shape
-from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW_LENGTH
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     CountOutput,
@@ -116,12 +116,12 @@ def _last_dim(tensor: Tensor) -> int:
 
 def _gaussians(graph: Graph, guesses: list[str]) -> GaussiansOutput | None:
     tensor = _find_named(graph, _GAUSSIAN_NAMES)
-    packed_outputs = [tensor for tensor in graph.outputs if _last_dim(tensor) == ROW]
+    packed_outputs = [tensor for tensor in graph.outputs if _last_dim(tensor) == ROW_LENGTH]
     if tensor is None and len(packed_outputs) == 1:
         tensor = packed_outputs[0]
     if tensor is None:
         guesses.append(
-            f"no output is named like packed Gaussians or is the only one ending in {ROW}"
+            f"no output is named like packed Gaussians or is the only one ending in {ROW_LENGTH}"
         )
         return None
     guesses.append(f"output {tensor.name!r} holds the packed Gaussians")

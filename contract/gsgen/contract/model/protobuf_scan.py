@@ -37,7 +37,7 @@ _MAX_SMALL_MESSAGE = 2048
 _MAX_INTEGER_PAYLOAD = 1 << 20
 _MAX_FIELDS = 1_000_000
 _MAX_DEPTH = 100
-_MAX_HELD_BYTES = 256 << 20
+_MAX_RETAINED_BYTES = 256 << 20
 
 
 class WireFault(ValueError):
@@ -176,10 +176,10 @@ class _Builder:
 
     def _copy_range(self, start: int, end: int) -> bytes:
         self.kept_bytes += end - start
-        if self.kept_bytes > _MAX_HELD_BYTES:
+        if self.kept_bytes > _MAX_RETAINED_BYTES:
             raise WireFault(
                 start,
-                f"the model holds more than {_MAX_HELD_BYTES >> 20} MiB besides tensor payload",
+                f"the model holds more than {_MAX_RETAINED_BYTES >> 20} MiB besides tensor payload",
             )
         return bytes(self.data[start:end])
 

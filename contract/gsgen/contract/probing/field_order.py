@@ -14,10 +14,10 @@ from gsgen.contract.spec.geometry import smallest_eigenvalue
 _MIN_ROWS = 16
 # Another layout is suspected if more than the first fraction of rows is invalid as declared, and
 # less than the second in the other layout.
-_MAX_BROKEN_SHARE = 0.2
+_MAX_INVALID_ROW_SHARE = 0.2
 _MAX_INVALID_SHARE = 1e-3
 _EIGENVALUE_SLACK = 2.0**-8
-_UNIT = 1e-2
+_UNIT_RANGE_TOLERANCE = 1e-2
 # Natural logarithms of scales that scenes have.
 _LOG_SCALES = (-30.0, 5.0)
 # A covariance exceeds the two standard deviations' product by rounding alone.
@@ -93,7 +93,7 @@ def suspect_order(
     if len(rows) < _MIN_ROWS:
         return None
     declared = _invalid_share(_misfit_mask(rows, bounds, rounding_error))
-    if declared <= _MAX_BROKEN_SHARE or _is_opacity_alone(rows, rounding_error):
+    if declared <= _MAX_INVALID_ROW_SHARE or _is_opacity_alone(rows, rounding_error):
         return None
     if bounds is not None and _invalid_share(_outside_mask(rows, bounds)) <= _MAX_INVALID_SHARE:
         bounds = None  # measured on these columns, so they say nothing of others
@@ -139,7 +139,7 @@ def _misfit_mask(
     with the standard deviations of its own two axes, too.
     """
     opacity, upper = rows[:, 3], rows[:, 4:]
-    is_opacity = (opacity >= -_UNIT) & (opacity <= 1 + _UNIT)
+    is_opacity = (opacity >= -_UNIT_RANGE_TOLERANCE) & (opacity <= 1 + _UNIT_RANGE_TOLERANCE)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
     is_fitting = is_opacity & (
         smallest_eigenvalue(upper) >= -_EIGENVALUE_SLACK * size - rounding_error
@@ -156,7 +156,7 @@ def _is_opacity_alone(rows: Float[np.ndarray, "n 10"], rounding_error: float) ->
 
     Then any of the first columns would pass as an opacity, which proves no other order.
     """
-    if not (np.abs(rows[:, :3] - 0.5) <= 0.5 + _UNIT).all():
+    if not (np.abs(rows[:, :3] - 0.5) <= 0.5 + _UNIT_RANGE_TOLERANCE).all():
         return False
     opaque_rows = rows.copy()
     opaque_rows[:, 3] = 1
@@ -178,7 +178,7 @@ def _quaternion_layouts(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.nd
         length = np.linalg.norm(rows[:, quaternion], axis=1)
         low, high = _LOG_SCALES if log else (0.0, np.inf)
         is_fitting = ((rows[:, scale] >= low) & (rows[:, scale] <= high)).all(axis=1)
-        return np.asarray(~(is_fitting & (np.abs(length - 1) <= _UNIT)))
+        return np.asarray(~(is_fitting & (np.abs(length - 1) <= _UNIT_RANGE_TOLERANCE)))
 
     first, last = (slice(3, 6), slice(6, 10)), (slice(7, 10), slice(3, 7))
     return {

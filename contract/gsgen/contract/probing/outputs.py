@@ -11,7 +11,7 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.field_order import FieldOrder, suspect_order
-from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
 from gsgen.contract.spec.manifest import AppearanceOutput
 
 # Rows checked at a time: their unpacked columns stay in the second-level cache.
@@ -23,7 +23,7 @@ _ORDER_SAMPLE = 1 << 10
 _HALF_FLOAT16_STEP = 2.0**-25
 _EXPONENT_MASK_BY_BYTES = {2: 0x7C00, 4: 0x7F800000}
 _MAGNITUDE_MASK_BY_BYTES = {2: 0x7FFF, 4: 0x7FFFFFFF}
-_WORD_TYPES: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
+_UINT_TYPE_BY_ITEMSIZE: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class ModelOutputs:
         step = max(1, self.count // _ORDER_SAMPLE)
         generator = getattr(self.subject, "generator", None)
         bounds = generator.bounds if generator is not None else None
-        planes = self.gaussians.reshape(ROW, -1).T[: self.count : step]
+        planes = self.gaussians.reshape(ROW_LENGTH, -1).T[: self.count : step]
         return suspect_order(
             self.gaussians[: self.count : step].astype(np.float64),
             (bounds.min, bounds.max) if bounds is not None else None,
@@ -250,7 +250,7 @@ class Rows:
 
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
     """Return float bits without the sign, which sort by magnitude; NaN and infinity sort last."""
-    word = _WORD_TYPES[array.itemsize]
+    word = _UINT_TYPE_BY_ITEMSIZE[array.itemsize]
     return np.asarray(
         np.ascontiguousarray(array).view(word) & word(_MAGNITUDE_MASK_BY_BYTES[array.itemsize])
     )

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from gsgen.contract.errors import HostFailed, ModelUnreadable
+from gsgen.contract.errors import HostProcessFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files, require_loadable
 from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.contract.model.model_file import open_model
@@ -160,7 +160,7 @@ def execute(
     no child sees it.
 
     Raises:
-        HostFailed: This machine, not the model, ended the run: a full disk, no memory for the
+        HostProcessFailed: This machine, not the model, ended the run: a full disk, no memory for the
             process, or a signal from outside.
     """
     try:
@@ -188,10 +188,10 @@ def execute(
         yield _collect_results(folder, ended, seconds, limits, is_own=worker == _WORKER)
 
 
-def _spool_failed(folder: Path, reason: str) -> HostFailed:
+def _spool_failed(folder: Path, reason: str) -> HostProcessFailed:
     hint = "Make room there, or set TMPDIR to a folder that has some."
     message = f"inputs and outputs of the model cannot be stored: {reason}"
-    return HostFailed(message, where=str(folder.parent), hint=hint)
+    return HostProcessFailed(message, where=str(folder.parent), hint=hint)
 
 
 def _write_job(
@@ -223,7 +223,7 @@ def _write_job(
     (folder / "job.json").write_text(json.dumps(job), "utf-8")
 
 
-class _Ended(NamedTuple):
+class _ProcessEnd(NamedTuple):
     """How the sandbox's child process ended.
 
     Attributes:
@@ -235,7 +235,7 @@ class _Ended(NamedTuple):
     host_fault: str
 
 
-def _run_child(folder: Path, seconds: float, worker: str) -> _Ended:
+def _run_child(folder: Path, seconds: float, worker: str) -> _ProcessEnd:
     """Run the sandbox's child process until it ends or its time is over."""
     environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
@@ -251,9 +251,11 @@ def _run_child(folder: Path, seconds: float, worker: str) -> _Ended:
         with child.stdout:
             try:
                 status = child.wait(timeout=seconds)
-                return _Ended(status, child.stdout.read(_HOST_FAULT_BYTES).decode(errors="replace"))
+                return _ProcessEnd(
+                    status, child.stdout.read(_HOST_FAULT_BYTES).decode(errors="replace")
+                )
             except subprocess.TimeoutExpired:
-                return _Ended(None, "")
+                return _ProcessEnd(None, "")
             finally:
                 _stop_child(child)
 
@@ -268,7 +270,7 @@ def _stop_child(child: "subprocess.Popen[bytes]") -> None:
 
 
 def _collect_results(
-    folder: Path, ended: _Ended, seconds: float, limits: Limits, *, is_own: bool
+    folder: Path, ended: _ProcessEnd, seconds: float, limits: Limits, *, is_own: bool
 ) -> Execution:
     events = _read_events(folder / "events.jsonl")
     runs = tuple(
@@ -352,7 +354,7 @@ def _read_fault(
     """Return why a model did not run to the end; ``is_own`` for the worker of this module.
 
     Raises:
-        HostFailed: This machine ended the process.
+        HostProcessFailed: This machine ended the process.
     """
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
     run_events = (event for event in reversed(events) if event["event"] in ("begin", "run"))
@@ -370,7 +372,7 @@ def _read_fault(
         death = death_of(status or 0, log, limits)
         has_started = any(event["event"] == "started" for event in events) or not is_own
         if death.stage == "host" or not has_started:
-            raise HostFailed(f"the process that runs the model ended: {death.message}")
+            raise HostProcessFailed(f"the process that runs the model ended: {death.message}")
         fault = Fault(death.stage, death.message, probe)
     host_limit = inherited_memory_limit()
     if fault.stage in ("memory", "crash") and host_limit < limits.memory:

@@ -6,7 +6,7 @@ an abort leaves everything that was done before. Other workers are made of the s
 
 __all__ = [
     "EXTRA_PROBE_TIME_SHARE",
-    "Emit",
+    "EmitMessage",
     "digest_outputs",
     "error_line",
     "fault_stage",
@@ -34,7 +34,7 @@ import numpy as np
 from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
 
 # Errors of storing files; NumPy gives none where a part was written.
 _STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, None)
@@ -44,9 +44,9 @@ EXTRA_PROBE_TIME_SHARE = 0.5
 _SUBSAMPLE_ROWS = 1 << 14
 _BLOCK_ROWS = 1 << 18
 # Arrays of inputs up to this size are kept in memory, since many probes share them.
-_SMALL_BYTES = 1 << 16
+_MAX_PIPE_BYTES = 1 << 16
 
-Emit = Callable[..., None]
+EmitMessage = Callable[..., None]
 
 
 def main(folder: Path) -> int:
@@ -54,7 +54,7 @@ def main(folder: Path) -> int:
     return run_worker(folder, _run_probes)
 
 
-def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) -> int:
+def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessage], int]) -> int:
     """Read a sandbox job from its folder, do the job, and return the exit status.
 
     A file that cannot be stored is a fault of this machine: the parent reads it from standard
@@ -71,7 +71,7 @@ def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int
             return 1
 
 
-def _do_job(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) -> int:
+def _do_job(folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessage], int]) -> int:
     job = json.loads((folder / "job.json").read_text("utf-8"))
     readable = map(Path, job["readable"])
     if not job["trusted"]:
@@ -85,7 +85,7 @@ def _do_job(folder: Path, run_job: Callable[[Path, dict[str, Any], Emit], int]) 
         return run_job(folder, job, emit)
 
 
-def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     import onnxruntime
 
     start_time = time.monotonic()
@@ -146,7 +146,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     return 0
 
 
-def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
+def _session(model: str, emit: EmitMessage, *, optimise: bool = True) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -178,7 +178,7 @@ def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str,
         if number in cached_arrays:
             return cached_arrays[number]
         value: np.ndarray = np.load(folder / f"input_{number}.npy", allow_pickle=False)
-        if value.nbytes <= _SMALL_BYTES:
+        if value.nbytes <= _MAX_PIPE_BYTES:
             cached_arrays[number] = value
         return value
 
@@ -187,7 +187,7 @@ def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str,
 
 def _mean_drawn_center(rows: np.ndarray) -> np.ndarray | None:
     """Return the centre of the first visible packed row, in float64; None if no row is visible."""
-    if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind != "f":
+    if rows.ndim != 2 or rows.shape[1] != ROW_LENGTH or rows.dtype.kind != "f":
         return None
     is_drawn = (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows[:, POSITION]).all(axis=1)
     first = int(is_drawn.argmax()) if len(rows) else 0
@@ -208,7 +208,7 @@ def _place_camera(
 
 
 def _survey_outputs(
-    outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit, job: dict[str, Any]
+    outputs: dict[str, np.ndarray], known: dict[str, int], emit: EmitMessage, job: dict[str, Any]
 ) -> int:
     """Record the digest and extremes of a run's outputs; return the index of the record."""
     digest = digest_outputs(outputs)
@@ -243,7 +243,7 @@ def keep_outputs(
     folder: Path,
     outputs: dict[str, np.ndarray],
     known: dict[str, int],
-    emit: Emit,
+    emit: EmitMessage,
     *,
     thin: bool = False,
 ) -> int:

@@ -30,7 +30,7 @@ ARRAY_MAGIC: Final = b"\x93NUMPY"
 _ZIP_MAGIC = b"PK"
 _SUFFIX = ".npy"
 _MAX_HEADER = 1 << 16  # bytes; plain arrays need 128
-_FREE_BYTES = 32 << 20
+_MIN_FREE_BYTES = 32 << 20
 _NUMBER_BYTES = 8  # readers convert to float64
 _KINDS = "biufcSU"  # numbers and texts
 _MAX_SIZE = 1 << 40
@@ -84,7 +84,7 @@ def read_arrays(path: Path, names: Iterable[str] | None = None) -> dict[str, np.
 
 def array_limit(file_bytes: int) -> int:
     """Return how many bytes the arrays of a file may take as float64."""
-    return max(_FREE_BYTES, _NUMBER_BYTES * file_bytes)
+    return max(_MIN_FREE_BYTES, _NUMBER_BYTES * file_bytes)
 
 
 def _read_archive(
@@ -131,7 +131,7 @@ def read_array(stream: IO[bytes], size: int, limit: int | None = None) -> np.nda
     if limit is not None and _float64_bytes(shape, dtype) > limit:
         raise ValueError(f"{dtype} {list(shape)} takes more memory than the limit of {limit} bytes")
     start.seek(0)
-    array = np.lib.format.read_array(_Joined(start, stream), allow_pickle=False)
+    array = np.lib.format.read_array(_JoinedArray(start, stream), allow_pickle=False)
     if stream.read(1):  # the end of an archive's entry also checks its CRC
         raise ValueError("the array is longer than it declares")
     return np.asarray(array)
@@ -166,7 +166,7 @@ def _float64_bytes(shape: tuple[int, ...], dtype: np.dtype) -> int:
     return math.prod(shape) * max(_NUMBER_BYTES, dtype.itemsize)
 
 
-class _Joined:
+class _JoinedArray:
     """A stream whose first bytes were read already."""
 
     def __init__(self, start: BytesIO, rest: IO[bytes]) -> None:

@@ -1,18 +1,18 @@
 """Why a child process ended: by a fault of the model that it ran, or of this machine."""
 
-__all__ = ["Death", "death_of", "memory_refused", "signal_name"]
+__all__ = ["ChildDeath", "death_of", "memory_refused", "signal_name"]
 
 import signal
 from typing import Final, Literal, NamedTuple
 
-from gsgen.contract.errors import HostFailed
+from gsgen.contract.errors import HostProcessFailed
 from gsgen.contract.process.limits import Limits, is_out_of_memory
 
 # Signals that a process gets from its own faults; others come from the system or its users.
-_OWN_FAULTS: Final = ("SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP")
+_CRASH_SIGNALS: Final = ("SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP")
 
 
-class Death(NamedTuple):
+class ChildDeath(NamedTuple):
     """Why a child process ended.
 
     Attributes:
@@ -24,7 +24,7 @@ class Death(NamedTuple):
     stage: Literal["time", "memory", "crash", "host"]
 
 
-def death_of(status: int, log: str, limits: Limits) -> Death:
+def death_of(status: int, log: str, limits: Limits) -> ChildDeath:
     """Return why a child process ended by itself or by a signal that its parent did not send.
 
     Args:
@@ -36,18 +36,20 @@ def death_of(status: int, log: str, limits: Limits) -> Death:
     last_line = (log.strip().splitlines() or ["no message"])[-1][:300]
     if status < 0 and name == "SIGXCPU":
         limit = f"{limits.seconds:g} s on each processor core"
-        return Death(f"needs more processor time than {limit}", "time")
-    if status < 0 and name not in _OWN_FAULTS:
+        return ChildDeath(f"needs more processor time than {limit}", "time")
+    if status < 0 and name not in _CRASH_SIGNALS:
         reason = "from outside, or by the system because memory ran out"
-        return Death(f"killed by {name}, {reason}", "host")
+        return ChildDeath(f"killed by {name}, {reason}", "host")
     if is_out_of_memory(log):
-        return Death(f"needs more than {limits.memory >> 20:,} MiB, the memory limit", "memory")
+        return ChildDeath(
+            f"needs more than {limits.memory >> 20:,} MiB, the memory limit", "memory"
+        )
     if status < 0:
-        return Death(f"ended by signal {name}", "crash")
-    return Death(f"exit status {status}: {last_line}", "crash")
+        return ChildDeath(f"ended by signal {name}", "crash")
+    return ChildDeath(f"exit status {status}: {last_line}", "crash")
 
 
-def memory_refused(memory: int, host_limit: int, reason: str) -> HostFailed:
+def memory_refused(memory: int, host_limit: int, reason: str) -> HostProcessFailed:
     """Return the error of a process that gets less memory from this machine than it may take.
 
     Args:
@@ -55,7 +57,7 @@ def memory_refused(memory: int, host_limit: int, reason: str) -> HostFailed:
         host_limit: Bytes that this machine's limits leave it.
         reason: The allocation that failed.
     """
-    return HostFailed(
+    return HostProcessFailed(
         f"the model may take {memory >> 20:,} MiB, but this process is limited to "
         f"{host_limit >> 20:,} MiB: {reason}",
         hint="Raise the limit (`ulimit -d`, `ulimit -v`), or give less --memory.",

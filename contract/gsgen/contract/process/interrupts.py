@@ -22,8 +22,10 @@ from gsgen.contract.errors import ExitCode
 from gsgen.contract.process.drafts import remove_own_drafts
 
 _GRACE_SECONDS: Final = 2.0
-_STOP_BYTE: Final = b"\0"  # no signal has this number
-_SIGNAL_BASE: Final = 128  # shells add it to the number of the signal that ended a process
+_WATCHER_STOP_BYTE: Final = b"\0"  # no signal has this number
+_SIGNAL_EXIT_CODE_BASE: Final = (
+    128  # shells add it to the number of the signal that ended a process
+)
 
 ENDING_SIGNALS: Final[frozenset[int]] = frozenset(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
@@ -82,7 +84,7 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptH
         for number in handled:
             signal.signal(number, signal.SIG_DFL)
         signal.set_wakeup_fd(previous_fd)
-        os.write(write_end, _STOP_BYTE)
+        os.write(write_end, _WATCHER_STOP_BYTE)
         watch_thread.join()
         os.close(write_end)
         os.close(read_end)
@@ -105,10 +107,10 @@ def _once_raising() -> Callable[[int, FrameType | None], None]:
 
 
 def _watch_signals(read_end: int, interrupts: InterruptHandler, seconds: float) -> None:
-    while (number := os.read(read_end, 1)) != _STOP_BYTE:
+    while (number := os.read(read_end, 1)) != _WATCHER_STOP_BYTE:
         is_ending = number[0] == signal.SIGINT or number[0] in ENDING_SIGNALS
         if is_ending and not interrupts.requested.is_set():
-            interrupts.exit_code = ExitCode(_SIGNAL_BASE + number[0])
+            interrupts.exit_code = ExitCode(_SIGNAL_EXIT_CODE_BASE + number[0])
             interrupts.requested.set()
             end = threading.Timer(seconds, _end_process, (interrupts.exit_code,))
             end.daemon = True

@@ -14,27 +14,32 @@ from pathlib import Path
 from typing import Final
 
 # System calls have these numbers on every architecture.
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_CREATE_RULESET_SYSCALL, _ADD_RULE_SYSCALL, _RESTRICT_SELF_SYSCALL = 444, 445, 446
 _QUERY_VERSION: Final = 1
-_PATH_BENEATH: Final = 1
+_PATH_BENEATH_RULE_TYPE: Final = 1
 _NO_NEW_PRIVILEGES: Final = 38  # an option of prctl
-_RULE: Final = struct.Struct("=Qi")
+_PATH_RULE_STRUCT: Final = struct.Struct("=Qi")
 
-_EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIRECTORY = 1 << 0, 1 << 1, 1 << 2, 1 << 3
-_TRUNCATE, _DEVICE_CONTROL = 1 << 14, 1 << 15
-_FILE_RIGHTS: Final = _EXECUTE | _WRITE_FILE | _READ_FILE | _TRUNCATE | _DEVICE_CONTROL
-_READ: Final = _READ_FILE | _READ_DIRECTORY
+_EXECUTE_FILE, _WRITE_FILE, _READ_FILE, _READ_DIRECTORY = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+_TRUNCATE_FILE, _DEVICE_CONTROL = 1 << 14, 1 << 15
+_FILE_RIGHTS: Final = _EXECUTE_FILE | _WRITE_FILE | _READ_FILE | _TRUNCATE_FILE | _DEVICE_CONTROL
+_READ_ACCESS: Final = _READ_FILE | _READ_DIRECTORY
 # Version → all rights on files that it knows.
-_ALL_RIGHTS: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 5: (1 << 16) - 1}
+_FILE_RIGHTS_BY_VERSION: Final = {
+    1: (1 << 13) - 1,
+    2: (1 << 14) - 1,
+    3: (1 << 15) - 1,
+    5: (1 << 16) - 1,
+}
 _NETWORK: Final = 0b11  # bind and connect of TCP, from version 4 on
-_SCOPES: Final = 0b11  # abstract Unix sockets and signals, from version 6 on
+_SOCKET_AND_SIGNAL_SCOPES: Final = 0b11  # abstract Unix sockets and signals, from version 6 on
 
 
 def version() -> int:
     """Return the kernel's version of Landlock, or 0 if it has none."""
     if not sys.platform.startswith("linux"):
         return 0
-    return max(0, int(_libc().syscall(_CREATE_RULESET, None, 0, _QUERY_VERSION)))
+    return max(0, int(_libc().syscall(_CREATE_RULESET_SYSCALL, None, 0, _QUERY_VERSION)))
 
 
 def restrict_files(
@@ -53,22 +58,26 @@ def restrict_files(
         OSError: The kernel refuses it.
     """
     kernel_version = version()
-    handled = next(_ALL_RIGHTS[v] for v in sorted(_ALL_RIGHTS, reverse=True) if v <= kernel_version)
-    fields = [handled, _NETWORK, _SCOPES]
+    handled = next(
+        _FILE_RIGHTS_BY_VERSION[v]
+        for v in sorted(_FILE_RIGHTS_BY_VERSION, reverse=True)
+        if v <= kernel_version
+    )
+    fields = [handled, _NETWORK, _SOCKET_AND_SIGNAL_SCOPES]
     field_count = 3 if kernel_version >= 6 else 2 if kernel_version >= 4 else 1
     attributes = struct.pack(f"={field_count}Q", *fields[:field_count])
-    ruleset = _call(_CREATE_RULESET, attributes, len(attributes), 0)
+    ruleset = _call(_CREATE_RULESET_SYSCALL, attributes, len(attributes), 0)
     try:
-        device_rights = _READ | _WRITE_FILE | _TRUNCATE | _DEVICE_CONTROL
+        device_rights = _READ_ACCESS | _WRITE_FILE | _TRUNCATE_FILE | _DEVICE_CONTROL
         for paths, rights in (
-            (readable, _READ),
-            (writable, handled & ~_EXECUTE & ~_DEVICE_CONTROL),
+            (readable, _READ_ACCESS),
+            (writable, handled & ~_EXECUTE_FILE & ~_DEVICE_CONTROL),
             (devices, device_rights & handled),
         ):
             for path in paths:
                 _allow(ruleset, path, rights)
         forbid_new_privileges()
-        _call(_RESTRICT_SELF, ruleset, 0)
+        _call(_RESTRICT_SELF_SYSCALL, ruleset, 0)
     finally:
         os.close(ruleset)
 
@@ -88,7 +97,13 @@ def _allow(ruleset: int, path: Path, rights: int) -> None:
     try:
         if not path.is_dir():
             rights &= _FILE_RIGHTS
-        _call(_ADD_RULE, ruleset, _PATH_BENEATH, _RULE.pack(rights, descriptor), 0)
+        _call(
+            _ADD_RULE_SYSCALL,
+            ruleset,
+            _PATH_BENEATH_RULE_TYPE,
+            _PATH_RULE_STRUCT.pack(rights, descriptor),
+            0,
+        )
     finally:
         os.close(descriptor)
 

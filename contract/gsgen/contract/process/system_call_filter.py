@@ -18,16 +18,22 @@ from typing import Final
 from gsgen.contract.process.landlock import forbid_new_privileges
 
 _INSTRUCTION: Final = struct.Struct("=HBBI")
-_LOAD, _JUMP_EQUAL, _JUMP_GREATER_EQUAL, _JUMP_BITS, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-_ALLOW, _KILL, _FAIL = 0x7FFF0000, 0x80000000, 0x00050000
+(
+    _LOAD_INSTRUCTION,
+    _JUMP_IF_EQUAL,
+    _JUMP_IF_GREATER_EQUAL,
+    _JUMP_IF_BITS_SET,
+    _RETURN_INSTRUCTION,
+) = 0x20, 0x15, 0x35, 0x45, 0x06
+_ALLOW_SYSTEM_CALL, _KILL_PROCESS, _FAIL_SYSTEM_CALL = 0x7FFF0000, 0x80000000, 0x00050000
 _NUMBER_OFFSET, _ARCHITECTURE_OFFSET, _FIRST_ARGUMENT_OFFSET = 0, 4, 16
 _SET_FILTER, _ALL_THREADS, _QUERY_ACTION = 1, 1, 2
-_OTHER_ABI: Final = 0x40000000  # numbers of x86-64's second calling convention, x32
+_X32_CALL_BIT: Final = 0x40000000  # numbers of x86-64's second calling convention, x32
 _CLONE_THREAD: Final = 0x10000
 
 # Machine → its number of the architecture, and its numbers of system calls by name.
 _ARCHITECTURES: Final = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
-_NUMBERS: Final[dict[str, dict[str, int]]] = {
+_SYSTEM_CALL_NUMBERS: Final[dict[str, dict[str, int]]] = {
     "x86_64": {
         "seccomp": 317, "clone": 56, "clone3": 435, "fork": 57, "vfork": 58, "execve": 59,
         "execveat": 322, "socket": 41, "connect": 42, "bind": 49, "listen": 50, "kill": 62,
@@ -54,10 +60,10 @@ _CONDITIONAL: Final = frozenset({"seccomp", "clone", "clone3", "kill"})
 
 def is_available() -> bool:
     """Return whether this kernel and processor can filter system calls by this module's program."""
-    numbers = _NUMBERS.get(platform.machine())
+    numbers = _SYSTEM_CALL_NUMBERS.get(platform.machine())
     if numbers is None or not sys.platform.startswith("linux"):
         return False
-    action = ctypes.c_uint32(_FAIL)
+    action = ctypes.c_uint32(_FAIL_SYSTEM_CALL)
     libc = ctypes.CDLL(None, use_errno=True)
     return int(libc.syscall(numbers["seccomp"], _QUERY_ACTION, 0, ctypes.byref(action))) == 0
 
@@ -76,7 +82,7 @@ def forbid_system_calls() -> None:
     code = ctypes.create_string_buffer(program, len(program))
     header = struct.pack("@HP", count, ctypes.addressof(code))
     libc = ctypes.CDLL(None, use_errno=True)
-    number = _NUMBERS[platform.machine()]["seccomp"]
+    number = _SYSTEM_CALL_NUMBERS[platform.machine()]["seccomp"]
     result = libc.syscall(number, _SET_FILTER, _ALL_THREADS, header)
     if result != 0:  # a positive number is a thread that has another filter
         raise OSError(ctypes.get_errno() or errno.EACCES, "the filter of system calls is refused")
@@ -84,36 +90,39 @@ def forbid_system_calls() -> None:
 
 def _filter_program(machine: str) -> list[bytes]:
     """Return the instructions of the filter for an architecture."""
-    numbers = _NUMBERS[machine]
+    numbers = _SYSTEM_CALL_NUMBERS[machine]
     forbidden = [number for name, number in numbers.items() if name not in _CONDITIONAL]
-    permission = _FAIL | errno.EPERM
+    permission = _FAIL_SYSTEM_CALL | errno.EPERM
     # A jump counts instructions from the next one: the last of each block skips nothing if taken.
     program = [
-        (_LOAD, 0, 0, _ARCHITECTURE_OFFSET),
-        (_JUMP_EQUAL, 1, 0, _ARCHITECTURES[machine]),
-        (_RETURN, 0, 0, _KILL),
-        (_LOAD, 0, 0, _NUMBER_OFFSET),
-        (_JUMP_GREATER_EQUAL, 0, 1, _OTHER_ABI),
-        (_RETURN, 0, 0, permission),
+        (_LOAD_INSTRUCTION, 0, 0, _ARCHITECTURE_OFFSET),
+        (_JUMP_IF_EQUAL, 1, 0, _ARCHITECTURES[machine]),
+        (_RETURN_INSTRUCTION, 0, 0, _KILL_PROCESS),
+        (_LOAD_INSTRUCTION, 0, 0, _NUMBER_OFFSET),
+        (_JUMP_IF_GREATER_EQUAL, 0, 1, _X32_CALL_BIT),
+        (_RETURN_INSTRUCTION, 0, 0, permission),
         # The C library starts threads by clone3, whose flags a filter cannot read, or else by clone.
-        (_JUMP_EQUAL, 0, 1, numbers["clone3"]),
-        (_RETURN, 0, 0, _FAIL | errno.ENOSYS),
-        (_JUMP_EQUAL, 0, 4, numbers["clone"]),
-        (_LOAD, 0, 0, _FIRST_ARGUMENT_OFFSET),
-        (_JUMP_BITS, 0, 1, _CLONE_THREAD),
-        (_RETURN, 0, 0, _ALLOW),
-        (_RETURN, 0, 0, permission),
+        (_JUMP_IF_EQUAL, 0, 1, numbers["clone3"]),
+        (_RETURN_INSTRUCTION, 0, 0, _FAIL_SYSTEM_CALL | errno.ENOSYS),
+        (_JUMP_IF_EQUAL, 0, 4, numbers["clone"]),
+        (_LOAD_INSTRUCTION, 0, 0, _FIRST_ARGUMENT_OFFSET),
+        (_JUMP_IF_BITS_SET, 0, 1, _CLONE_THREAD),
+        (_RETURN_INSTRUCTION, 0, 0, _ALLOW_SYSTEM_CALL),
+        (_RETURN_INSTRUCTION, 0, 0, permission),
         # A process may kill itself alone.
-        (_JUMP_EQUAL, 0, 4, numbers["kill"]),
-        (_LOAD, 0, 0, _FIRST_ARGUMENT_OFFSET),
-        (_JUMP_EQUAL, 0, 1, os.getpid()),
-        (_RETURN, 0, 0, _ALLOW),
-        (_RETURN, 0, 0, permission),
+        (_JUMP_IF_EQUAL, 0, 4, numbers["kill"]),
+        (_LOAD_INSTRUCTION, 0, 0, _FIRST_ARGUMENT_OFFSET),
+        (_JUMP_IF_EQUAL, 0, 1, os.getpid()),
+        (_RETURN_INSTRUCTION, 0, 0, _ALLOW_SYSTEM_CALL),
+        (_RETURN_INSTRUCTION, 0, 0, permission),
         *(
             instruction
             for number in forbidden
-            for instruction in ((_JUMP_EQUAL, 0, 1, number), (_RETURN, 0, 0, permission))
+            for instruction in (
+                (_JUMP_IF_EQUAL, 0, 1, number),
+                (_RETURN_INSTRUCTION, 0, 0, permission),
+            )
         ),
-        (_RETURN, 0, 0, _ALLOW),
+        (_RETURN_INSTRUCTION, 0, 0, _ALLOW_SYSTEM_CALL),
     ]
     return [_INSTRUCTION.pack(*instruction) for instruction in program]

@@ -12,7 +12,7 @@ from gsgen.contract.reporters.summary import printable
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
 
-_COUNTED_TAGS = ("failure", "error", "skipped")
+_JUNIT_COUNT_TAGS = ("failure", "error", "skipped")
 
 
 def to_junit(entries: Sequence[Entry]) -> str:
@@ -34,7 +34,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
 def _count(parent: Element) -> None:
     """Set the numbers of tests, failures, errors and skips of the JUnit element ``parent``."""
     parent.set("tests", str(len(list(parent.iter("testcase")))))
-    for tag in _COUNTED_TAGS:
+    for tag in _JUNIT_COUNT_TAGS:
         name = tag if tag == "skipped" else f"{tag}s"
         parent.set(name, str(len(list(parent.iter(tag)))))
 

@@ -15,7 +15,7 @@ from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
 _VERDICT_SIGNS = {"conforms": "✅", "invalid": "❌", "internal-error": "💥"}
-_UNREADABLE_SIGN = "⛔"
+_UNREADABLE_STATUS_EMOJI = "⛔"
 
 
 def to_markdown(entries: Sequence[Entry]) -> str:
@@ -30,7 +30,7 @@ def _summary_table(entries: Sequence[Entry]) -> str:
     for entry in entries:
         name = code(entry.path).replace("|", "\\|")
         if isinstance(entry, Unreadable):
-            rows.append(f"| {name} | {_UNREADABLE_SIGN} unreadable | | |")
+            rows.append(f"| {name} | {_UNREADABLE_STATUS_EMOJI} unreadable | | |")
             continue
         counts = [
             sum(f.counts and f.severity.word == word for f in entry.findings)
@@ -43,7 +43,7 @@ def _summary_table(entries: Sequence[Entry]) -> str:
 
 def _section(entry: Entry) -> str:
     if isinstance(entry, Unreadable):
-        return f"### {_UNREADABLE_SIGN} {code(entry.path)}\n\n{code(str(entry.error))}"
+        return f"### {_UNREADABLE_STATUS_EMOJI} {code(entry.path)}\n\n{code(str(entry.error))}"
     introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
     parts = [
         f"### {_VERDICT_SIGNS[entry.verdict]} {code(entry.path)}",

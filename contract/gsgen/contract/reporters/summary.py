@@ -9,7 +9,7 @@ from gsgen.contract._safe_text import printable
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Entry, Report, Unreadable
 
-_CRASHED_TEXT = "a rule crashed, no verdict"
+_RULE_CRASHED_TEXT = "a rule crashed, no verdict"
 
 
 def plural(count: int, noun: str) -> str:
@@ -37,7 +37,7 @@ def verdict_line(report: Report) -> str:
 
 def verdict_word(report: Report) -> str:
     """Return the conclusion of a validation report in words, such as ``conforms``."""
-    return _CRASHED_TEXT if report.verdict == "internal-error" else report.verdict
+    return _RULE_CRASHED_TEXT if report.verdict == "internal-error" else report.verdict
 
 
 def _uncounted_texts(report: Report) -> list[str]:
@@ -58,10 +58,10 @@ def summary_line(entries: Sequence[Entry]) -> str:
     words = Counter(
         "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry) for entry in entries
     )
-    names = {"conforms": "conform", _CRASHED_TEXT: "without verdict"}
+    names = {"conforms": "conform", _RULE_CRASHED_TEXT: "without verdict"}
     parts = [
         f"{words[word]} {word if word == 'conforms' and words[word] == 1 else name}"
-        for word in ("conforms", "invalid", _CRASHED_TEXT, "unreadable")
+        for word in ("conforms", "invalid", _RULE_CRASHED_TEXT, "unreadable")
         if words[word] and (name := names.get(word, word))
     ]
     return f"{plural(len(entries), 'model')}: {', '.join(parts) or 'no model validated'}"

@@ -11,14 +11,14 @@ from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import RUNNABLE
+from gsgen.contract.validation.gates import RUNNABLE_MODEL_RULES
 from gsgen.contract.validation.rule import rule
 
 _MAX_ELEMENTS = 1 << 40
 # The limit of NumPy arrays, which hold every input and output.
 _MAX_AXES = 64
 # The inputs of several probes are in memory at the same time.
-_PROBES_AT_ONCE = 4
+_PROBES_PER_BATCH = 4
 
 
 @rule("GS001", Severity.ERROR, kinds=MANIFEST_KINDS)
@@ -73,13 +73,13 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
         if len(shape) > _MAX_AXES and input_tensor is not None and input_tensor.dims is None:
             actual = f"{len(shape)} axes in the manifest"
             yield Violation.at(f"input {name}", actual, f"{_MAX_AXES} axes at most")
-    probed_total, probe_limit = probed_bytes(subject), limit // _PROBES_AT_ONCE
+    probed_total, probe_limit = probed_bytes(subject), limit // _PROBES_PER_BATCH
     if probed_total > probe_limit:  # includes sizes that are not fixed in the graph
         actual = f"{format_mebibytes(probed_total, 0)} in float64 in total"
         yield Violation.at("inputs of a frame", actual, f"{probe_limit // MEBIBYTE} MiB at most")
 
 
-@rule("GS004", Severity.ERROR, kinds=MANIFEST_KINDS, needs=RUNNABLE)
+@rule("GS004", Severity.ERROR, kinds=MANIFEST_KINDS, needs=RUNNABLE_MODEL_RULES)
 def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     """The model runs within the limits on time and memory.
 

@@ -7,11 +7,11 @@ __all__ = [
     "CULL_OPACITY",
     "FIELDS",
     "ITEMSIZE",
-    "MOSTLY_INVISIBLE",
+    "MOSTLY_INVISIBLE_SHARE",
     "OPACITY",
     "OPACITY_SLACK",
     "POSITION",
-    "ROW",
+    "ROW_LENGTH",
     "UPPER_TRIANGLE",
     "VARIANCES",
     "VISIBILITY",
@@ -35,7 +35,7 @@ from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.spec.spherical_harmonics import SH_COEFFICIENT_COUNTS, coefficients, degree_of
 
 FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
-ROW = len(FIELDS)
+ROW_LENGTH = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
 # Opacities may leave [0, 1] by this much.
@@ -57,7 +57,7 @@ CELL_FIELDS = (*FIELDS[:VISIBILITY], "visibility", *FIELDS[VISIBILITY + 1 :])
 CULL_OPACITY = 1 / 255
 
 # A model is mostly invisible if more than this share of its rows is below that opacity.
-MOSTLY_INVISIBLE = 0.9
+MOSTLY_INVISIBLE_SHARE = 0.9
 
 # Shaders read storage buffers in whole words of this many bytes.
 WORD_BYTES = 4
@@ -176,9 +176,9 @@ def decode(
     Raises:
         LayoutMismatch: The arrays are not [N, 10] and [N, C] with a C that ``space`` has.
     """
-    if rows.ndim != 2 or rows.shape[1] != ROW:
+    if rows.ndim != 2 or rows.shape[1] != ROW_LENGTH:
         raise LayoutMismatch(
-            f"the packed Gaussians have shape {list(rows.shape)}, expected [N, {ROW}]",
+            f"the packed Gaussians have shape {list(rows.shape)}, expected [N, {ROW_LENGTH}]",
             where="gaussians",
         )
     allowed_channels = APPEARANCE_CHANNELS[space]
@@ -221,10 +221,10 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
     Raises:
         LayoutMismatch: The array is not [C, 10].
     """
-    if rows.ndim != 2 or rows.shape[1] != ROW:
+    if rows.ndim != 2 or rows.shape[1] != ROW_LENGTH:
         raise LayoutMismatch(
             f"the rows of cells (groups of Gaussians) have shape {list(rows.shape)}, "
-            f"expected [C, {ROW}]",
+            f"expected [C, {ROW_LENGTH}]",
             where="cells",
             hint="A row has a centre (3 numbers), a visibility (1) and a covariance (6).",
         )

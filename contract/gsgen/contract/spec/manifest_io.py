@@ -1,6 +1,14 @@
 """Reads and writes manifests as JSON text: parse, upgrade, check against the schema."""
 
-__all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
+__all__ = [
+    "ManifestComplaint",
+    "ParsedManifest",
+    "dumps",
+    "loads",
+    "parse",
+    "schema_name",
+    "schemas",
+]
 
 import json
 import math
@@ -27,7 +35,7 @@ _MAX_BYTES = 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
+class ManifestComplaint:
     """One fault of a manifest: its location, the actual value and the expected value.
 
     Attributes:
@@ -44,7 +52,7 @@ class Complaint:
 
 
 @dataclass(frozen=True, slots=True)
-class Parsed:
+class ParsedManifest:
     """The result of parsing a manifest: the manifest, its version, and its faults.
 
     Attributes:
@@ -55,7 +63,7 @@ class Parsed:
     """
 
     manifest: Manifest | None
-    complaints: tuple[Complaint, ...] = ()
+    complaints: tuple[ManifestComplaint, ...] = ()
     version: Version | None = None
     is_newer_version: bool = False
 
@@ -87,7 +95,7 @@ def _published_schema(kind: str) -> dict[str, Any]:
     return document
 
 
-def parse(text: str) -> Parsed:
+def parse(text: str) -> ParsedManifest:
     """Parse the JSON text of a manifest; faults are returned as data, never raised."""
     if len(text) > _MAX_BYTES:
         return _failed_parse("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
@@ -97,7 +105,7 @@ def parse(text: str) -> Parsed:
         return _failed_parse("syntax", "", _shorten(text), "fewer brackets inside each other")
 
 
-def _parse_document(text: str) -> Parsed:
+def _parse_document(text: str) -> ParsedManifest:
     try:
         document = json.loads(
             text,
@@ -116,14 +124,14 @@ def _parse_document(text: str) -> Parsed:
         actual = _shorten(document.get("contract", "nothing"))
         return _failed_parse("version", "contract", actual, 'a version such as "1.0"')
     if version[0] != CURRENT_VERSION[0]:
-        complaint = Complaint(
+        complaint = ManifestComplaint(
             "version", "contract", _version_text(version), f"major version {CURRENT_VERSION[0]}"
         )
-        return Parsed(None, (complaint,), version)
+        return ParsedManifest(None, (complaint,), version)
     return _parse_body(document, version)
 
 
-def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
+def _parse_body(document: dict[str, Any], version: Version) -> ParsedManifest:
     kind = document.get("kind")
     if kind not in MANIFEST_KINDS:
         return _failed_parse(
@@ -136,9 +144,9 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
         faults = [fault for fault in faults if fault.validator != "additionalProperties"]
     complaints = tuple(_complaint_from_fault(fault) for fault in sorted(faults, key=_fault_path))
     if complaints:
-        return Parsed(None, complaints, version, is_newer_version)
+        return ParsedManifest(None, complaints, version, is_newer_version)
     manifest: Manifest = from_json(manifest_type(kind), document)
-    return Parsed(manifest, (), version, is_newer_version)
+    return ParsedManifest(manifest, (), version, is_newer_version)
 
 
 def loads(text: str) -> Manifest:
@@ -169,8 +177,8 @@ def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
     return text
 
 
-def _failed_parse(cause: str, where: str, actual: str, expected: str) -> Parsed:
-    return Parsed(None, (Complaint(cause, where, actual, expected),))
+def _failed_parse(cause: str, where: str, actual: str, expected: str) -> ParsedManifest:
+    return ParsedManifest(None, (ManifestComplaint(cause, where, actual, expected),))
 
 
 def _parse_number(text: str) -> float:
@@ -223,23 +231,27 @@ def _is_unknown(name: str, fault: SchemaFault) -> bool:
     return not known and not any(re.search(pattern, name) for pattern in patterns)
 
 
-def _complaint_from_fault(fault: SchemaFault) -> Complaint:
+def _complaint_from_fault(fault: SchemaFault) -> ManifestComplaint:
     """Translate a fault of the schema into location, actual and expected value."""
     where = ".".join(str(part) for part in fault.absolute_path)
     expected = fault.schema.get("description") if isinstance(fault.schema, dict) else None
     if fault.validator == "required":
         missing = fault.message.split("'")[1]
-        return Complaint("schema", where, f"no field {missing!r}", f"{missing!r} to be present")
+        return ManifestComplaint(
+            "schema", where, f"no field {missing!r}", f"{missing!r} to be present"
+        )
     if fault.validator == "additionalProperties":
         known = ", ".join(fault.schema.get("properties", {}))
         unmatched_entries = ", ".join(
             repr(name) for name in fault.instance if _is_unknown(name, fault)
         )
-        return Complaint("schema", where, _shorten(unmatched_entries), f"only the fields {known}")
+        return ManifestComplaint(
+            "schema", where, _shorten(unmatched_entries), f"only the fields {known}"
+        )
     if fault.validator == "enum":
         options = ", ".join(str(option) for option in fault.validator_value)
-        return Complaint("schema", where, _shorten(fault.instance), f"one of {options}")
+        return ManifestComplaint("schema", where, _shorten(fault.instance), f"one of {options}")
     detail = f"{fault.validator} {fault.validator_value}"
-    return Complaint(
+    return ManifestComplaint(
         "schema", where, _shorten(fault.instance), f"{expected} ({detail})" if expected else detail
     )

@@ -84,7 +84,7 @@ def _check_sandbox() -> Check:
     """Check that a minimal model runs in the sandbox (child process), as validation needs."""
     from onnx import ModelProto, NodeProto, TensorProto
 
-    from gsgen.contract.errors import HostFailed
+    from gsgen.contract.errors import HostProcessFailed
     from gsgen.contract.probing.probes import Probe
     from gsgen.contract.probing.sandbox import Fault, execute
     from gsgen.contract.process.drafts import temporary_folder
@@ -106,7 +106,7 @@ def _check_sandbox() -> Check:
         try:
             with execute(path, ["y"], probes, limits) as execution:
                 fault, seconds = execution.fault, execution.seconds
-        except HostFailed as error:
+        except HostProcessFailed as error:
             fault, seconds = Fault("crash", error.message), 0.0
     purpose = "levels values and behaviour"
     if fault is not None:

@@ -21,7 +21,7 @@ from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 
-_ABSENT_TEXT = "(absent)"
+_ABSENT_VALUE_TEXT = "(absent)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def _contract_differences(a: InspectedModel, b: InspectedModel) -> Iterator[Diff
 
 def _declared_fields(subject: InspectedModel) -> dict[str, str]:
     if subject.parsed is None or subject.manifest is None:
-        return {"manifest": _ABSENT_TEXT if subject.parsed is None else "(invalid)"}
+        return {"manifest": _ABSENT_VALUE_TEXT if subject.parsed is None else "(invalid)"}
     dumps(subject.manifest)  # raises for a manifest that cannot be written
     return dict(_flatten("", to_json(subject.manifest)))
 
@@ -120,7 +120,7 @@ def _structure(subject: InspectedModel) -> dict[str, str]:
 
 def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Difference]:
     for name in dict.fromkeys([*a, *b]):
-        first, second = a.get(name, _ABSENT_TEXT), b.get(name, _ABSENT_TEXT)
+        first, second = a.get(name, _ABSENT_VALUE_TEXT), b.get(name, _ABSENT_VALUE_TEXT)
         if first != second:
             yield Difference(kind, name, first, second)
 

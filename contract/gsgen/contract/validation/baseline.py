@@ -17,7 +17,7 @@ from gsgen.contract.validation.report import REPORT_SCHEMA_FILE, Report, Resolve
 KnownFindings = Mapping[str, ResolvedFinding]
 
 _WRITE_HINT = "Write one with: gsgen validate MODEL --format json -o FILE"
-_CHECKED_STATUSES = ("pass", "fail")
+_COMPARED_STATUSES = ("pass", "fail")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Baseline:
         )
         fingerprints = {finding.fingerprint for finding in findings}
         checked = {
-            outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED_STATUSES
+            outcome.rule.id for outcome in report.outcomes if outcome.status in _COMPARED_STATUSES
         }
         resolved = tuple(
             finding

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from gsgen.contract._entry_points import foreign_code
-from gsgen.contract.errors import HostFailed
+from gsgen.contract.errors import HostProcessFailed
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
@@ -309,7 +309,7 @@ class _Validation:
                 )
                 self.results.skip(rules, error.reason)
                 return
-            except HostFailed:
+            except HostProcessFailed:
                 raise
             except Exception:  # a faulty backend must not prevent the report
                 self.levels.append(

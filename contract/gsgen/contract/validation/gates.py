@@ -2,9 +2,9 @@
 
 __all__ = [
     "APPEARANCE",
-    "CELLS",
-    "COLORED_ROWS",
-    "COUNTED_ROWS",
+    "CELL_RULES",
+    "COLORED_ROW_RULES",
+    "COUNTED_ROW_RULES",
     "DECLARATION_RULES",
     "FINITE_OUTPUTS",
     "MANIFEST_PARSED",
@@ -13,7 +13,7 @@ __all__ = [
     "ORDERED_ROWS",
     "PACKED_ROWS",
     "REPRODUCIBLE",
-    "RUNNABLE",
+    "RUNNABLE_MODEL_RULES",
     "VALID_ROWS",
     "WELL_FORMED",
 ]
@@ -33,7 +33,7 @@ DECLARATION_RULES: Final = (*MANIFEST_PARSED, "GM004")
 WELL_FORMED: Final = ("GG001", "GG002", "GG019")
 
 # The model can be loaded and fed, and cannot reach outside its folder or exceed its memory.
-RUNNABLE: Final = (
+RUNNABLE_MODEL_RULES: Final = (
     *DECLARATION_RULES,
     *("GI001", "GI002", "GI003", "GI004", "GI005"),
     *("GG001", "GG002", "GG012", "GG019"),
@@ -53,19 +53,19 @@ ORDERED_ROWS: Final = (*PACKED_ROWS, "GO016")
 VALID_ROWS: Final = (*ORDERED_ROWS, "GV003", "GV005", "GV006")
 
 # Packed rows, and a count that lies between 0 and the capacity.
-COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")
+COUNTED_ROW_RULES: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")
 
 # The model ran, and its appearance has known channels, one row for each Gaussian.
 APPEARANCE: Final = (MODEL_RUNS, *NOT_RANDOM, "GO005", "GO006", "GO007", "GO008", "GM005")
 
 # Packed rows with an appearance of known channels.
-COLORED_ROWS: Final = (
+COLORED_ROW_RULES: Final = (
     *(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002"),
     *("GO005", "GO006", "GO007", "GO008"),
 )
 
 # Packed rows, and cells that hold all of them.
-CELLS: Final = (*PACKED_ROWS, "GO021")
+CELL_RULES: Final = (*PACKED_ROWS, "GO021")
 
 # The model ran, and equal inputs give equal bits, also after other inputs were run.
 REPRODUCIBLE: Final = (MODEL_RUNS, "GB001", "GB002")

@@ -5,7 +5,7 @@ place of scales, and spherical harmonics of the cell's visibility from a directi
 ``info`` holds numbers of the scene in its first rows.
 """
 
-__all__ = ["CellCheckpoint", "Weighting", "describe_cells", "read_cells"]
+__all__ = ["CellCheckpoint", "CellWeighting", "describe_cells", "read_cells"]
 
 import math
 import re
@@ -53,7 +53,7 @@ _MIN_BACKGROUND = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Weighting:
+class CellWeighting:
     """The parameters of Duplex-GS' weighted blending."""
 
     sigma: float  # the depth at which a weight falls to 0
@@ -69,7 +69,7 @@ class CellCheckpoint:
     anchors: AnchorCheckpoint  # the cells as anchors, with the cell's size as both scales
     # SH coefficients of each cell's visibility before the sigmoid, [N, K]
     visibility: Float[Tensor, "n k"]
-    weighting: Weighting  # weights of the method's renderer
+    weighting: CellWeighting  # weights of the method's renderer
 
 
 def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
@@ -127,7 +127,7 @@ def _degree(visibility: Tensor, path: Path) -> int:
     return squares[visibility.shape[1]]
 
 
-def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
+def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> CellWeighting:
     if len(info) < _INFO_FIELDS:
         message = f"has {len(info)} cells, expected at least {_INFO_FIELDS} for the numbers of info"
         raise CheckpointInvalid(message, where=str(path))
@@ -145,7 +145,7 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
         )
         raise CheckpointInvalid(message, where=str(path))
     weight = _shortest_decimal(max(background, 0.0) + _MIN_BACKGROUND)
-    return Weighting(sigma, weight, opacity_divisor, cfg.flag("depth_correct"))
+    return CellWeighting(sigma, weight, opacity_divisor, cfg.flag("depth_correct"))
 
 
 def _shortest_decimal(value: float) -> float:

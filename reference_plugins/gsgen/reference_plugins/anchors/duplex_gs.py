@@ -9,7 +9,7 @@ The method's renderer blends by a weighted sum, cell after cell: ``blend="wsr"``
 and their weights. Otherwise the model is for renderers that sort Gaussians.
 """
 
-__all__ = ["BLEND_NAMES", "OPACITIES", "DuplexGS"]
+__all__ = ["BLEND_MODES", "OPACITIES", "DuplexGS"]
 
 from typing import Literal, final
 
@@ -35,7 +35,7 @@ _MIN_SQUARED_NORM = 1e-24
 Opacity = Literal["decoded", "weighted"]
 OPACITIES: tuple[Opacity, ...] = ("decoded", "weighted")
 Blend = Literal["alpha", "wsr"]
-BLEND_NAMES: tuple[Blend, ...] = ("alpha", "wsr")
+BLEND_MODES: tuple[Blend, ...] = ("alpha", "wsr")
 
 
 class _BoundedOpacity(nn.Module):

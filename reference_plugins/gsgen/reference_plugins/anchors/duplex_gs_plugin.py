@@ -38,7 +38,7 @@ BlendOption = Annotated[
         "by cell; the model also emits the cells."
     ),
 ]
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Liu et al. 2025",
     arxiv="2508.03180",
     code="https://github.com/LiYukeee/Duplex-GS",
@@ -84,7 +84,7 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    generator.producer = producer_of(_PAPER.code, read.anchors.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.anchors.run)
     return generator
 
 
@@ -103,7 +103,7 @@ PLUGIN = Plugin(
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "appearance_id"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=lambda run, iteration: "anchor_size_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it"),
     build=build,

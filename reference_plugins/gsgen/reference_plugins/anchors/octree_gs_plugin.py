@@ -20,7 +20,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.octree_gs import OctreeGS
 
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Ren et al. 2024",
     arxiv="2403.17898",
     code="https://github.com/city-super/Octree-GS",
@@ -55,7 +55,7 @@ def build(
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     generator = OctreeGS(read.cloud, read.nets, levels, appearance=appearance, selection=selection)
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -81,7 +81,7 @@ PLUGIN = Plugin(
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "viewport", "appearance_id"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=_recognises,
     demo=Demo(write=_write_demo, caption="from ever farther, zoomed in: levels go", view="recede"),
     build=build,

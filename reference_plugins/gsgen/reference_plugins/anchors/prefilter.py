@@ -19,7 +19,7 @@ from gsgen.runtime.scene.camera import DEFAULT_DILATION
 
 _NEAR_DEPTH = 0.2
 # The slope beyond which the projection is linearised at the edge of the image.
-_GUARD_BAND = 1.3
+_FRUSTUM_GUARD_BAND = 1.3
 _MIN_SPREAD = 0.1
 
 
@@ -78,7 +78,7 @@ class Prefilter(nn.Module):
         self, slope: Tensor, depth: Tensor, focal: Tensor, viewport: Tensor, turn: Tensor
     ) -> Tensor:
         """Return three standard deviations of the projected ellipse, rounded up to pixels."""
-        slope_limit = _GUARD_BAND / focal.clamp(min=1e-6)
+        slope_limit = _FRUSTUM_GUARD_BAND / focal.clamp(min=1e-6)
         clamped_slope = torch.minimum(torch.maximum(slope, -slope_limit), slope_limit)
         pixels = 0.5 * focal * viewport.reshape(1, 2) / depth.clamp(min=_NEAR_DEPTH)
         zero = torch.zeros_like(depth)

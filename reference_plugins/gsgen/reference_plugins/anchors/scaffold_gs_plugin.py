@@ -19,7 +19,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.scaffold_gs import ScaffoldGS
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Lu et al. 2024",
     arxiv="2312.00109",
     code="https://github.com/city-super/Scaffold-GS",
@@ -55,7 +55,7 @@ def build(
     generator = ScaffoldGS(
         saved_anchors.cloud, saved_anchors.nets, appearance=appearance, selection=selection
     )
-    generator.producer = producer_of(_PAPER.code, saved_anchors.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, saved_anchors.run)
     return generator
 
 
@@ -80,7 +80,7 @@ PLUGIN = Plugin(
     "opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, embedding_appearance.pt), "
     "or all of them in checkpoints.pth.",
     inputs=("view", "projection", "viewport", "appearance_id"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=_recognises,
     demo=Demo(write=_write_demo, caption="around it: colours follow the camera"),
     build=build,

@@ -1,6 +1,6 @@
 """Culls anchors out of view, and limits the number that a frame decodes."""
 
-__all__ = ["CULL_NAMES", "Frustum", "Selection", "culling"]
+__all__ = ["CULL_MODES", "Frustum", "Selection", "culling"]
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,7 +16,7 @@ from gsgen.sdk import inputs
 from gsgen.sdk.math import frustum_mask
 
 Cull = Literal["none", "frustum", "published"]
-CULL_NAMES: tuple[Cull, ...] = ("none", "frustum", "published")
+CULL_MODES: tuple[Cull, ...] = ("none", "frustum", "published")
 
 # Visible radius of a Gaussian in standard deviations.
 _EXTENT_DEVIATIONS = 3.0

@@ -1,6 +1,6 @@
 """Declares the inputs that pose one body or several: pose, root rotation, translation, shape."""
 
-__all__ = ["Actor", "ActorInputs"]
+__all__ = ["AnimatedPerson", "PersonInputs"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _MAX_TRANSLATION = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Actor:
+class AnimatedPerson:
     """The pose inputs of K bodies in one frame, as tensors."""
 
     pose: Float[Tensor, "k j 3"]  # Axis-angles of the joints
@@ -36,7 +36,7 @@ class Actor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ActorInputs:
+class PersonInputs:
     """The set of pose inputs that an avatar declares."""
 
     joints: int  # number of joints in a pose
@@ -76,7 +76,7 @@ class ActorInputs:
             ]
         return body_inputs
 
-    def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
+    def actor_from(self, tensors: Sequence[Tensor]) -> AnimatedPerson:
         """Assemble pose, rotation, translation and shape of all bodies from one frame's tensors.
 
         The tensors have the order of :meth:`declared`.
@@ -92,7 +92,7 @@ class ActorInputs:
         shift = _stack_rows(columns.pop(0), 3)
         expression = _stack_rows(columns.pop(0), self.expression) if self.expression else None
         frame = tuple(tensor for column in columns for tensor in column) if self.frames else None
-        return Actor(
+        return AnimatedPerson(
             pose=pose, turn=turn, shift=shift, shape=shape, expression=expression, frame=frame
         )
 

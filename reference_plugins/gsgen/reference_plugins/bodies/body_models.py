@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.sdk.math.skinning import NO_PARENT
+from gsgen.sdk.math.skinning import NO_PARENT_JOINT
 
 # Number of joints → name and website of the body model.
 BODY_FILES = {
@@ -190,7 +190,7 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], joints: int) -> 
 
 
 def _parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
-    parents = [-1 if p in (-1, NO_PARENT) else int(p) for p in table]
+    parents = [-1 if p in (-1, NO_PARENT_JOINT) else int(p) for p in table]
     for joint, parent in enumerate(parents):
         if not (parent == -1 if joint == 0 else 0 <= parent < joint):
             message = f"kintree_table gives joint {joint} the parent {parent}"

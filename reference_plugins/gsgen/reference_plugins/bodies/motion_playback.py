@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.bodies.actors import ActorInputs
+from gsgen.reference_plugins.bodies.actors import PersonInputs
 from gsgen.reference_plugins.bodies.motions import Motion
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
@@ -29,7 +29,7 @@ class MotionPlayback(GaussianGenerator):
     def __init__(
         self,
         avatar: GaussianGenerator,
-        actors: ActorInputs,
+        actors: PersonInputs,
         motion: Motion,
         time: Input | None = None,
         *,
@@ -73,7 +73,7 @@ class MotionPlayback(GaussianGenerator):
         return value + torch.tensor([body * self.spacing, 0.0, 0.0])
 
 
-def _tables(actors: ActorInputs, motion: Motion) -> dict[str, np.ndarray]:
+def _tables(actors: PersonInputs, motion: Motion) -> dict[str, np.ndarray]:
     frames = len(motion)
     float_tables: dict[str, np.ndarray] = {
         "pose": motion.pose.reshape(frames, -1),

@@ -15,7 +15,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.loading.options import note, warn_unsupported
 
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.bodies.actors import ActorInputs
+    from gsgen.reference_plugins.bodies.actors import PersonInputs
     from gsgen.reference_plugins.bodies.body_models import Body
     from gsgen.reference_plugins.bodies.motions import Motion
     from gsgen.reference_plugins.loading.cfg_args import CfgArgs
@@ -89,7 +89,7 @@ def read_shape(text: str | None, motion: "Motion | None", max_count: int) -> lis
 
 def with_motion(
     avatar: "GaussianGenerator",
-    actors: "ActorInputs",
+    actors: "PersonInputs",
     motion: "Motion | None",
     body: "Body",
     *,

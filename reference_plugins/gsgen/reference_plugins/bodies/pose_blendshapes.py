@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.bodies import rest_pose
-from gsgen.reference_plugins.bodies.actors import Actor
+from gsgen.reference_plugins.bodies.actors import AnimatedPerson
 from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
 from gsgen.reference_plugins.bodies.rotations import gauhuman_rotation_matrices, rotation_matrices
@@ -71,7 +71,9 @@ class PoseBlendshapes(nn.Module):
         layers = nets.pose if nets is not None else ()
         self.refiner = nn.ModuleList(Dense(*layer) for layer in layers)
 
-    def forward(self, actor: Actor) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
+    def forward(
+        self, actor: AnimatedPerson
+    ) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
         """Return joint transforms, and the offsets of each template vertex by pose and shape."""
         pose = actor.pose if self.hands is None else actor.pose + self.hands
         joint_matrices = self._joint_rotations(pose)

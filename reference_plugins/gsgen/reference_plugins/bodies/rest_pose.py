@@ -18,7 +18,7 @@ from gsgen.reference_plugins.bodies.body_models import Body
 
 # Legs and arms apart: entry of the pose vector → degrees (GauHuman, dataset_readers.py).
 _BIG_POSE_ANGLES = {5: 45.0, 8: -45.0, 23: -30.0, 26: 30.0}
-_FIRST_HAND = 75
+_FIRST_HAND_VALUE = 75
 
 
 def rodrigues(vectors: Float[np.ndarray, "j 3"]) -> Float[np.ndarray, "j 3 3"]:
@@ -87,7 +87,7 @@ def big_pose(body: Body) -> Float[np.ndarray, "j 3"]:
     for entry, degrees in _BIG_POSE_ANGLES.items():
         pose[entry] = np.deg2rad(degrees)
     if body.joints == 55 and body.hand_mean is not None:
-        pose[_FIRST_HAND:] = body.hand_mean
+        pose[_FIRST_HAND_VALUE:] = body.hand_mean
     return pose.reshape(-1, 3)
 
 

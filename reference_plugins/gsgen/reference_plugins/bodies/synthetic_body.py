@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from gsgen.sdk.math.skinning import NO_PARENT
+from gsgen.sdk.math.skinning import NO_PARENT_JOINT
 
 _SMPL = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 # The parent of jaw and eyes is the head; each wrist has five fingers of three joints.
@@ -97,7 +97,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
     weights /= weights.sum(axis=1, keepdims=True)
     regressor = ((tube[None] == np.arange(joints)[:, None]) & ~is_outer).astype(float)
     regressor /= regressor.sum(axis=1, keepdims=True)
-    table = np.array([_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT + 1)
+    table = np.array([_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT_JOINT + 1)
     scaled_joints = np.einsum("vi,ijk->vjk", template, rng.normal(0, 0.02, (3, 3, options.shapes)))
     arrays = {
         "v_template": template,

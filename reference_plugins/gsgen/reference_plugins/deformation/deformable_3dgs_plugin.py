@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 
 # Operations of a good graphics card in a sixtieth of a second, at a tenth of its peak.
-_HIGH_OPERATIONS = 60e9
-_PAPER = Publication(
+_MAX_NETWORK_OPERATIONS = 60e9
+_PAPER_REFERENCE = Publication(
     paper="Yang et al. 2024",
     arxiv="2309.13101",
     code="https://github.com/ingra14m/Deformable-3D-Gaussians",
@@ -42,10 +42,10 @@ def build(
     report_checkpoint(read.describe(), read.run.cfg)
     if not read.run.cfg.file_exists:
         note(f"note: {read.run.cfg.path} is missing; the variant follows from the network's shapes")
-    if read.operations > _HIGH_OPERATIONS:
+    if read.operations > _MAX_NETWORK_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     generator = Deformable3DGS(read.canonical, read.net, time)
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -67,7 +67,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=_recognises,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

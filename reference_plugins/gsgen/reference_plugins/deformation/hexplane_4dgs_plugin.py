@@ -27,7 +27,7 @@ _Bake = Annotated[
         "themselves (never), or the smaller ones (auto)."
     ),
 ]
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Wu et al. 2024",
     arxiv="2310.08528",
     code="https://github.com/hustvl/4DGaussians",
@@ -49,7 +49,7 @@ def build(
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel was never compared with the original code")
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -71,7 +71,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "
     "deformation.pth. Iterations of the coarse stage are passed over.",
     inputs=("time",),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=lambda run, iteration: (iteration / "deformation.pth").is_file(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

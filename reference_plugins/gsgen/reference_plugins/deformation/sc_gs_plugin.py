@@ -19,7 +19,7 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
 
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Huang et al. 2024",
     arxiv="2312.14937",
     code="https://github.com/yihua7/SC-GS",
@@ -39,7 +39,7 @@ def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: In
     if read.run.cfg.flag("d_rot_as_rotmat"):
         note("warning: d_rot_as_rotmat=True is honoured as in training; render.py ignores it")
     generator = ScGs(read, time)
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -66,7 +66,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=is_sc_gs,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

@@ -50,7 +50,7 @@ _PROCESSOR_NAME = re.compile(
     r"(?P<plain>down|up)\.weight"
 )
 _ALPHA_NAME = re.compile(r"(?P<layer>.+)\.alpha")
-_TEXT = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
+_TEXT_ENCODER_PREFIXES = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
 # Part of a tensor's name → the kind of adapter that it belongs to.
 _UNSUPPORTED = {
     "dora_scale": "DoRA", "lora_magnitude_vector": "DoRA", "hada_": "LoHa", "lokr_": "LoKr",
@@ -102,7 +102,7 @@ def read_lora(path: Path) -> Adapter:
     uses_safetensors = is_safetensors(path)
     state = read_safetensors(path) if uses_safetensors else load_state(path, "a LoRA")
     pairs, unpaired = split_pairs(state, path)
-    text = tuple(name for name in unpaired if name.startswith(_TEXT))
+    text = tuple(name for name in unpaired if name.startswith(_TEXT_ENCODER_PREFIXES))
     unknown = [name for name in unpaired if name not in text]
     if unknown:
         kinds = {kind for part, kind in _UNSUPPORTED.items() for name in unknown if part in name}
@@ -144,7 +144,7 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, LoraPai
     pairs: dict[str, LoraPair] = {}
     unpaired: dict[str, Any] = {}
     for name, value in state.items():
-        location = None if name.startswith(_TEXT) else _parse_name(name)
+        location = None if name.startswith(_TEXT_ENCODER_PREFIXES) else _parse_name(name)
         if location is None:
             unpaired[name] = value
             continue

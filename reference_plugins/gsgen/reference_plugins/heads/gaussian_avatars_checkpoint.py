@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.bodies.body_models import Body, read_body, required_body
-from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT, TOOTH_VERTICES, add_teeth
+from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT, TEETH_VERTEX_COUNT, add_teeth
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
@@ -67,7 +67,7 @@ def read_gaussian_avatars(
     flame = read_body(required_body(body, candidates, _JOINT_COUNT), _JOINT_COUNT)
     offset = arrays["static_offset"].astype(np.float64)
     offset = offset[0] if offset.ndim == 3 and len(offset) == 1 else offset
-    if offset.shape == (len(flame.template) + TOOTH_VERTICES, 3):
+    if offset.shape == (len(flame.template) + TEETH_VERTEX_COUNT, 3):
         flame = add_teeth(flame)
     shape = arrays["shape"].astype(np.float64).ravel()
     expr = arrays["expr"]

@@ -26,7 +26,7 @@ _Body = Annotated[
         show_default="flame2023.pkl in assets of the run",
     ),
 ]
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Qian et al. 2024",
     arxiv="2312.02069",
     code="https://github.com/ShenhanQian/GaussianAvatars",
@@ -46,7 +46,7 @@ def build(
     report_checkpoint(read.describe(), read.run.cfg)
     note("warning: the model contains parts of FLAME, whose licence forbids redistribution")
     generator = GaussianAvatars(read)
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -64,7 +64,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N: point_cloud.ply and flame_param.npz, "
     "and the face model that --body names or DIR/assets holds.",
     inputs=("pose", "expression", "root_translation"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=lambda run, iteration: "binding_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it", view="head"),
     build=build,

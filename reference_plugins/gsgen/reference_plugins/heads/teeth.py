@@ -4,7 +4,7 @@ The published code builds them of the lips' vertices (ShenhanQian/GaussianAvatar
 ``flame_model/flame.py``). Each row has 15 columns, along 15 vertices of either lip.
 """
 
-__all__ = ["SHAPE_COUNT", "TOOTH_VERTICES", "add_teeth"]
+__all__ = ["SHAPE_COUNT", "TEETH_VERTEX_COUNT", "add_teeth"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 SHAPE_COUNT = 300
 """Shape coefficients of FLAME; those of expressions follow."""
-TOOTH_VERTICES = 120
+TEETH_VERTEX_COUNT = 120
 """Number of added vertices."""
 
 _COLUMN_COUNT = 15
@@ -103,12 +103,12 @@ def add_teeth(body: Body) -> Body:
     rows = {"ue": upper_edge, "ur": upper_edge + 2 * y, "le": lower_edge, "lr": lower_edge - 2 * y}
     rows |= {f"{name}B": row - z for name, row in rows.items()}
     template = np.concatenate([rows[name] for name in _ROW_NAMES])
-    shape_dirs = np.zeros((TOOTH_VERTICES, *body.shape_dirs.shape[1:]))
+    shape_dirs = np.zeros((TEETH_VERTEX_COUNT, *body.shape_dirs.shape[1:]))
     lip_shape_dirs = (body.shape_dirs[upper_lip] + body.shape_dirs[lower_lip])[
         :, :, :SHAPE_COUNT
     ] / 2
     shape_dirs[:, :, :SHAPE_COUNT] = np.tile(lip_shape_dirs, (len(_ROW_NAMES), 1, 1))
-    weights = np.zeros((TOOTH_VERTICES, body.joints))
+    weights = np.zeros((TEETH_VERTEX_COUNT, body.joints))
     for index, name in enumerate(_ROW_NAMES):
         part = slice(index * _COLUMN_COUNT, (index + 1) * _COLUMN_COUNT)
         weights[part, _NECK_JOINT if name.startswith("u") else _JAW_JOINT] = 1
@@ -118,14 +118,16 @@ def add_teeth(body: Body) -> Body:
         for i, name in enumerate(_ROW_NAMES)
     }
     face_strips = [_strip_faces(indices[a], indices[b], corners) for a, b, corners in _STRIP_TABLE]
-    zero_pose_dirs = np.zeros((TOOTH_VERTICES, *body.pose_dirs.shape[1:]))
+    zero_pose_dirs = np.zeros((TEETH_VERTEX_COUNT, *body.pose_dirs.shape[1:]))
     return replace(
         body,
         template=np.concatenate([body.template, template]),
         shape_dirs=np.concatenate([body.shape_dirs, shape_dirs]),
         pose_dirs=np.concatenate([body.pose_dirs, zero_pose_dirs]),
         weights=np.concatenate([body.weights, weights]),
-        regressor=np.concatenate([body.regressor, np.zeros((body.joints, TOOTH_VERTICES))], axis=1),
+        regressor=np.concatenate(
+            [body.regressor, np.zeros((body.joints, TEETH_VERTEX_COUNT))], axis=1
+        ),
         faces=np.concatenate([body.faces, *face_strips]),
     )
 

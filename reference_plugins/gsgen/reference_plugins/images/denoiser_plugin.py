@@ -53,7 +53,7 @@ DifixFile = Annotated[
     ),
 ]
 Timestep = Annotated[float, typer.Option(help="Timestep of the denoising step.", min=0)]
-SteersOption = Annotated[
+ConditioningOption = Annotated[
     bool, typer.Option("--timestep-input", help="The timestep is an input of the model.")
 ]
 SizeOption = Annotated[
@@ -100,7 +100,7 @@ def build(
     values: Values = "signed",
     result: Result = "image",
     *,
-    timestep_input: SteersOption = False,
+    timestep_input: ConditioningOption = False,
 ) -> "Denoiser":
     """Read a diffusion checkpoint, report its contents, and return the post-process model."""
     from importlib.metadata import version

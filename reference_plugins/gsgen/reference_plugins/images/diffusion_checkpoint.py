@@ -33,7 +33,7 @@ _Network = TypeVar("_Network", bound=nn.Module)
 
 Prediction = Literal["epsilon", "v_prediction", "sample"]
 
-_PREDICTIONS = ("epsilon", "v_prediction", "sample")
+_PREDICTION_TYPES = ("epsilon", "v_prediction", "sample")
 _WEIGHTS = "diffusion_pytorch_model"
 _SCHEDULE = "scheduler_config.json"
 # Name of an attention layer in files from before 2023 → its name today.
@@ -222,7 +222,7 @@ def _rename_attention(
 
 def _noise(config: ModelConfig) -> Noise:
     """Compute ᾱ of each timestep (Ho et al. 2020, section 2: the product of 1 − β)."""
-    prediction = config.choice("prediction_type", _PREDICTIONS, "epsilon")
+    prediction = config.choice("prediction_type", _PREDICTION_TYPES, "epsilon")
     steps = config.integer("num_train_timesteps", 1000)
     kind = config.choice(
         "beta_schedule", ("linear", "scaled_linear", "squaredcos_cap_v2"), "linear"

@@ -32,13 +32,13 @@ from gsgen.reference_plugins.images.diffusers_writer import (
 from gsgen.reference_plugins.images.handmade_weights import BINOMIAL_KERNEL, COLORS, Weights
 
 _CHANNEL_COUNT = 24
-_LARGE_FACTOR = 16.0  # K
+_ACTIVATION_SCALE = 16.0  # K
 # Contrasts in −1 … 1 up to this are artifacts; those of twice as much are edges.
 _BLUR_STRENGTH = 0.3
 _SILU_FACTOR = 16.0  # factor before SiLU, so that it approximates a ReLU
 # Knots of f(d), in units of _SOFT, and the change of its slope there: f(d) = d up to 1, back to 0
 # at 2, and odd.
-_BEND_CHANNELS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
+_BEND_CHANNEL_SIGNS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
 _LORA_RANK = 4
 _ALPHA_SHARE = 8 / _LORA_RANK  # α/r, with the α that peft sets
 _UNET: dict[str, Any] = {
@@ -142,14 +142,14 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
             1.0,
             -1.0,
         )
-        fixed_bias[x + 6], fixed_bias[x + 7] = _LARGE_FACTOR, -_LARGE_FACTOR
+        fixed_bias[x + 6], fixed_bias[x + 7] = _ACTIVATION_SCALE, -_ACTIVATION_SCALE
         gamma[x : x + 2] = (
-            _LARGE_FACTOR / 2
+            _ACTIVATION_SCALE / 2
         )  # the standard deviation of K and −K in a group of eight
-        gamma[x + 2 : x + 6] = _SILU_FACTOR * _LARGE_FACTOR / 2
+        gamma[x + 2 : x + 6] = _SILU_FACTOR * _ACTIVATION_SCALE / 2
         output_weight = weights["conv_out.weight"][color, :, 1, 1]
         output_weight[x], output_weight[x + 1] = image_gain, -image_gain
-        for channel, (bend_channel, change) in enumerate(_BEND_CHANNELS, x + 2):
+        for channel, (bend_channel, change) in enumerate(_BEND_CHANNEL_SIGNS, x + 2):
             beta[channel], output_weight[channel] = (
                 _SILU_FACTOR * _BLUR_STRENGTH * bend_channel,
                 contrast_gain * change / _SILU_FACTOR,
@@ -181,14 +181,14 @@ def _set_difference(weight: Float[Tensor, "o i 3 3"], color: int, source: int) -
 
 
 def _set_bias(bias: Float[Tensor, " o"], color: int) -> None:
-    bias[4 * color + 2], bias[4 * color + 3] = _LARGE_FACTOR, -_LARGE_FACTOR
+    bias[4 * color + 2], bias[4 * color + 3] = _ACTIVATION_SCALE, -_ACTIVATION_SCALE
 
 
 def _set_output(weights: Weights, part: str) -> None:
     """Set the output layer to recover each colour x from the SiLU of two channels, x and −x."""
     for color in range(COLORS):
         channel_pair = slice(4 * color, 4 * color + 2)
-        weights[f"{part}.conv_norm_out.weight"][channel_pair] = _LARGE_FACTOR / math.sqrt(2)
+        weights[f"{part}.conv_norm_out.weight"][channel_pair] = _ACTIVATION_SCALE / math.sqrt(2)
         weights[f"{part}.conv_out.weight"][color, channel_pair, 1, 1] = torch.tensor([1.0, -1.0])
 
 

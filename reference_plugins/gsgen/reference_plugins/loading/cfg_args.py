@@ -20,7 +20,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 _FILE_NAME = "cfg_args"
 _MAX_BYTES = 1 << 20
-_MAX_SHOWN = 80
+_MAX_SHOWN_CHARACTERS = 80
 # The class names in pathlib's printed paths.
 _PATH_SETTINGS = frozenset(
     f"{pure_prefix}{kind}Path" for pure_prefix in ("", "Pure") for kind in ("", "Posix", "Windows")
@@ -88,7 +88,7 @@ class CfgArgs:
         }
 
     def _wrong_value_error(self, name: str, expected: str) -> CheckpointInvalid:
-        actual = repr(self.values[name])[:_MAX_SHOWN]
+        actual = repr(self.values[name])[:_MAX_SHOWN_CHARACTERS]
         return CheckpointInvalid(f"{name} is {actual}, expected {expected}", where=str(self.path))
 
 
@@ -164,12 +164,12 @@ def _options(tree: ast.Call, text: str) -> Iterator[tuple[str, ast.expr]]:
 def _value(node: ast.expr, text: str) -> Any:
     source = ast.get_source_segment(text, node) or ""
     try:
-        return ast.literal_eval(_PlainValues().visit(node))
+        return ast.literal_eval(_LiteralValues().visit(node))
     except (ValueError, TypeError, RecursionError, MemoryError):
         return PrintedObject(source)
 
 
-class _PlainValues(ast.NodeTransformer):
+class _LiteralValues(ast.NodeTransformer):
     """Rewrites ``inf``, ``nan`` and printed paths in the tree of ``cfg_args`` as literals."""
 
     def visit_Name(self, node: ast.Name) -> ast.expr:

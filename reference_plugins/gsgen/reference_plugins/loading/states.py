@@ -32,9 +32,9 @@ Shape = tuple[int | None, ...]
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 """Weight and bias of a dense layer."""
 
-_MAX_SHOWN = 12
+_MAX_SHOWN_KEYS = 12
 # Prefixes of every name after training on several GPUs, and after compilation.
-_WRAPPERS = ("module.", "_orig_mod.")
+_MODULE_WRAPPER_PREFIXES = ("module.", "_orig_mod.")
 
 
 def load_state(path: Path, content: str) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def load_network(path: Path) -> dict[str, Any]:
 
 def _unwrap(value: Any) -> Any:
     """Remove wrapper prefixes from the names in a state dict; return any other object unchanged."""
-    for prefix in 2 * _WRAPPERS if isinstance(value, dict) and value else ():
+    for prefix in 2 * _MODULE_WRAPPER_PREFIXES if isinstance(value, dict) and value else ():
         if all(str(name).startswith(prefix) for name in value):
             value = {str(name).removeprefix(prefix): entry for name, entry in value.items()}
     return value
@@ -96,7 +96,7 @@ def require_tensors(
     problems = [text for text in tensor_problems if text and not text.endswith(": ")]
     if problems:
         hint = "Its cfg_args may come from another training run."
-        raise CheckpointInvalid("; ".join(problems[:_MAX_SHOWN]), where=str(path), hint=hint)
+        raise CheckpointInvalid("; ".join(problems[:_MAX_SHOWN_KEYS]), where=str(path), hint=hint)
     return {name: state[name].detach().to(torch.float32) for name in expected}
 
 
@@ -114,11 +114,11 @@ def first_names(names: Iterable[str], separator: str = ", ") -> str:
     """Join the first few names of a list, and append the number of the others."""
     listed_names = list(names)
     remainder = (
-        f"{separator}and {len(listed_names) - _MAX_SHOWN} more"
-        if len(listed_names) > _MAX_SHOWN
+        f"{separator}and {len(listed_names) - _MAX_SHOWN_KEYS} more"
+        if len(listed_names) > _MAX_SHOWN_KEYS
         else ""
     )
-    return separator.join(listed_names[:_MAX_SHOWN]) + remainder
+    return separator.join(listed_names[:_MAX_SHOWN_KEYS]) + remainder
 
 
 def _tensor_problem(name: str, value: Any, shape: Shape) -> str:

@@ -1,6 +1,6 @@
 """Reads files that ``torch.save`` wrote, without running code that a pickle names."""
 
-__all__ = ["InertObject", "load_tensors"]
+__all__ = ["PlaceholderObject", "load_tensors"]
 
 import pickle
 import struct
@@ -32,7 +32,7 @@ _DAMAGE_ERRORS = (
 )  # fmt: skip
 
 
-class InertObject:
+class PlaceholderObject:
     """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
@@ -47,7 +47,7 @@ def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) 
 
     ``known`` pairs a class with the name of a class in the file that it replaces.
     """
-    inert_types: list[Any] = [*((InertObject, name) for name in _NUMPY_NAMES), *known]
+    inert_types: list[Any] = [*((PlaceholderObject, name) for name in _NUMPY_NAMES), *known]
     try:
         with torch.serialization.safe_globals(inert_types), warnings.catch_warnings():
             # torch warns of other protocols of pickle than its own, and reads them.

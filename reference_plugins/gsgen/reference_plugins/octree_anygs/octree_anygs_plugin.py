@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
     from gsgen.sdk.exporting.constant_generator import ConstantSource
 
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Ren et al. 2024",
     arxiv="2403.17898",
     code="https://github.com/city-super/Octree-AnyGS",
@@ -65,7 +65,7 @@ def build(
             splats = explicit_splats(read.cloud, read.colors, flat=read.base == "2dgs")
             return StaticScene(content=splats)
         generator = LeveledGaussians(read.cloud, read.colors, read.levels, flat=read.base == "2dgs")
-    generator.producer = producer_of(_PAPER.code, read.run)
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run)
     return generator
 
 
@@ -112,7 +112,7 @@ PLUGIN = Plugin(
     "model scaffoldgs, the networks opacity_mlp.pt, cov_mlp.pt, color_mlp.pt "
     "(feature_bank_mlp.pt, embedding_appearance.pt).",
     inputs=("view", "projection", "appearance_id"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=lambda run, iteration: is_octree_anygs(iteration),
     demo=Demo(write=_write_demo, caption="from ever farther, zoomed in: levels go", view="recede"),
     build=build,

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
-from gsgen.reference_plugins.bodies.actors import ActorInputs, Rotation
+from gsgen.reference_plugins.bodies.actors import PersonInputs, Rotation
 from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_blendshapes import PoseBlendshapes
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
@@ -66,7 +66,7 @@ class GauHuman(GaussianGenerator):
         """
         super().__init__()
         free_shape_count = body.shape_dirs.shape[2] if shape is None else 0
-        self.actors = ActorInputs(
+        self.actors = PersonInputs(
             joints=body.joints, rotation=rotation, shape=free_shape_count, bodies=bodies
         )
         self.inputs = self.actors.declared()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
-from gsgen.reference_plugins.bodies.actors import ActorInputs
+from gsgen.reference_plugins.bodies.actors import PersonInputs
 from gsgen.reference_plugins.bodies.rotations import nearest_rotation, rotation_matrices
 from gsgen.reference_plugins.bodies.skinning import (
     blend_transforms,
@@ -68,7 +68,7 @@ class LHM(GaussianGenerator):
         """
         super().__init__()
         body, betas = read.body, read.betas.double().numpy()
-        self.actors = ActorInputs(
+        self.actors = PersonInputs(
             joints=body.joints, expression=EXPRESSIONS if expression else 0, bodies=bodies
         )
         self.inputs = self.actors.declared()

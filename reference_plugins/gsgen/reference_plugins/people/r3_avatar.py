@@ -21,7 +21,7 @@ from torch import Tensor
 
 from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
-from gsgen.reference_plugins.bodies.actors import ActorInputs, Rotation
+from gsgen.reference_plugins.bodies.actors import PersonInputs, Rotation
 from gsgen.reference_plugins.bodies.pose_blendshapes import PoseBlendshapes
 from gsgen.reference_plugins.bodies.pose_networks import weight_offsets
 from gsgen.reference_plugins.bodies.skinning import (
@@ -84,7 +84,7 @@ class R3Avatar(GaussianGenerator):
         super().__init__()
         body = read.body
         free_shape_count = body.shape_dirs.shape[2] if shape is None else 0
-        self.actors = ActorInputs(
+        self.actors = PersonInputs(
             joints=body.joints, rotation=rotation, shape=free_shape_count, frames=len(poses), bodies=bodies,
             parts=BODY_PARTS if novel else (),
         )  # fmt: skip

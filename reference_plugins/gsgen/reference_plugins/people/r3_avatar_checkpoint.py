@@ -31,7 +31,7 @@ from gsgen.reference_plugins.loading.states import (
     linear_shapes,
     require_tensors,
 )
-from gsgen.reference_plugins.loading.tensor_files import InertObject, load_tensors
+from gsgen.reference_plugins.loading.tensor_files import PlaceholderObject, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
 from gsgen.reference_plugins.tensors.hexplane import PLANE_COUNT
 
@@ -69,7 +69,7 @@ _TRAINING_CLASSES = (
 )
 
 
-class _InertModule(InertObject):
+class _InertModule(PlaceholderObject):
     """Inert stand-in for a pickled network; it gives access to the network's tensors."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:

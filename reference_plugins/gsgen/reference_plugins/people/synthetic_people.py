@@ -31,8 +31,8 @@ from gsgen.reference_plugins.bodies.synthetic_body import (
 from gsgen.reference_plugins.writing.random_layers import random_linear
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
-_UNCORRECTED_OPTIONS = PersonOptions()
-_CORRECTED_OPTIONS = PersonOptions(nets=True)
+_OPTIONS_WITHOUT_POSE_NETS = PersonOptions()
+_OPTIONS_WITH_POSE_NETS = PersonOptions(nets=True)
 
 
 def _assets(folder: Path, options: PersonOptions) -> Body:
@@ -58,7 +58,7 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
     )
 
 
-def write_gauhuman(folder: Path, options: PersonOptions = _UNCORRECTED_OPTIONS) -> Path:
+def write_gauhuman(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_NETS) -> Path:
     """Write a checkpoint of GauHuman with a body model in ``assets``, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"motion_offset_flag": options.nets})
@@ -92,7 +92,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     return pose, convolved
 
 
-def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED_OPTIONS) -> Path:
+def write_lhm(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_NETS) -> Path:
     """Write a synthetic LHM avatar with the files that it needs, and return the folder.
 
     The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are ignored.
@@ -151,7 +151,7 @@ def _lhm_tensors(
     ]
 
 
-def write_r3(folder: Path, options: PersonOptions = _CORRECTED_OPTIONS) -> Path:
+def write_r3(folder: Path, options: PersonOptions = _OPTIONS_WITH_POSE_NETS) -> Path:
     """Write a checkpoint of R3-Avatar trained on ZJU-MoCap, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"source_path": "/data/zju_mocap/my_377"})

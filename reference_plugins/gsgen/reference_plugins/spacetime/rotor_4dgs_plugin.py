@@ -43,7 +43,7 @@ _Color = Annotated[
         "method does, towards the stored centre (adds the input view)."
     ),
 ]
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Yang et al. 2024",
     arxiv="2310.10642",
     code="https://github.com/fudan-zvg/4d-gaussian-splatting",
@@ -73,7 +73,7 @@ def build(
         note("warning: the learnt background (env_map) is not of Gaussians, and is left out")
     prefilter = read.run.cfg.number("prefilter_var", -1.0)
     generator = Rotor4DGS(read.splats, duration, time, prefilter=prefilter, color=color)
-    generator.producer = producer_of(_PAPER.code, read.run, [read.path])
+    generator.producer = producer_of(_PAPER_REFERENCE.code, read.run, [read.path])
     return generator
 
 
@@ -119,7 +119,7 @@ PLUGIN = Plugin(
     reads="Reads DIR/chkpntN.pth and DIR/cfg_args, and the YAML of the training that --config "
     "names, for the times of the first and last frame.",
     inputs=("time", "view"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

@@ -35,7 +35,7 @@ _Decode = Annotated[
 _SizeOption = Annotated[
     str, typer.Option(help="Image size of --decode decoder, as HEIGHTxWIDTH: 360x640.")
 ]
-_PAPER = Publication(
+_PAPER_REFERENCE = Publication(
     paper="Li et al. 2024",
     arxiv="2312.16812",
     code="https://github.com/oppo-us-research/SpacetimeGaussians",
@@ -61,7 +61,7 @@ def build(
     duration = read.run.cfg.integer("duration", 0)
     time = replace(time, frames=time.frames or duration or None)
     model = _model(read, time, decode, size)
-    model.producer = producer_of(_PAPER.code, read.run, read.files)
+    model.producer = producer_of(_PAPER_REFERENCE.code, read.run, read.files)
     return model
 
 
@@ -132,7 +132,7 @@ PLUGIN = Plugin(
     reads="Reads a PLY with motion, or DIR/cfg_args and DIR/point_cloud/iteration_N: "
     "point_cloud.ply, and point_cloud.pt of the full model.",
     inputs=("time", "view", "control"),
-    publication=_PAPER,
+    publication=_PAPER_REFERENCE,
     recognises=lambda run, iteration: "trbf_center" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,

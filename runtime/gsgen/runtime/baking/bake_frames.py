@@ -142,7 +142,7 @@ def bake_source(
     codec = files.codec
     write = codec.frame_writer() if frames > 1 and codec.frame_writer else codec.write
     assert write is not None  # OutputFiles has checked it
-    job = _Job(
+    job = _BakeJob(
         source=source, values=values, cameras=cameras, files=files, write=write, views=views,
         max_degree=max_degree, psnr=psnr, frames=frames, progress=progress,
         converter=FrameConverter(
@@ -174,7 +174,7 @@ def _frame_count(frames: int, cameras: int) -> int:
 
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
-class _Job:
+class _BakeJob:
     """The state of writing frames of an ONNX generator as splat files."""
 
     source: GeneratorSource

@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import psnr
-from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
+from gsgen.runtime.sources.source import GeneratorSource, Source, StillFrameSource
 
 if TYPE_CHECKING:
     from gsgen.runtime.renderer.renderer import Renderer
@@ -60,7 +60,7 @@ def psnr_of_file(
     Antialiasing and colour space are the generator's, as many formats do not store them. The ratio
     is over all pixels of all cameras, and infinite if the pictures are equal.
     """
-    source = StillSource(path)
+    source = StillFrameSource(path)
     source.color_space = color_space
     images = [_image(source, camera, antialias, renderer) for camera in cameras]
     return psnr(np.array(images), np.array(expected))

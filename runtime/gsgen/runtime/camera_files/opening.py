@@ -41,7 +41,7 @@ _KNOWN_FORMATS: Final = (
     "sfm_data.json of openMVG, bundle.out of Bundler, XML of Metashape, and folders of COLMAP with "
     "cameras and images as .bin or .txt."
 )
-_START_BYTES: Final = 4096
+_RECOGNITION_BYTES: Final = 4096
 _FOLDER_FILES: Final = (
     "transforms.json",
     "cameras.json",
@@ -73,7 +73,7 @@ def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = No
             problem = "is not a file" if location.exists() else "does not exist"
             raise ConfigInvalid(problem, where=str(location), hint=_KNOWN_FORMATS)
         with open(location, "rb") as file:
-            start = file.read(_START_BYTES)
+            start = file.read(_RECOGNITION_BYTES)
             is_text = _may_be_json(start) or is_bundler(start) or start.lstrip()[:1] == b"<"
             file_size = location.stat().st_size
             if is_text and file_size > _MAX_JSON_BYTES:

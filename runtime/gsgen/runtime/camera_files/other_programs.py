@@ -22,7 +22,7 @@ class _Program:
 
 
 _COLMAP_EXPORT: Final = "Export the cameras as COLMAP (text or binary)."
-_PROGRAMS: Final = (
+_PHOTOGRAMMETRY_PROGRAMS: Final = (
     _Program(
         re.compile(rb"Ogawa|\x89HDF\r\n"),
         "an Alembic file",
@@ -73,7 +73,7 @@ def unreadable_camera_file(start: bytes, path: Path, supported: str) -> ConfigIn
     """
     kind = kind_of_file(path)
     is_download_fault = kind is not None and kind.name in ("html", "error")
-    for program in () if is_download_fault else _PROGRAMS:
+    for program in () if is_download_fault else _PHOTOGRAMMETRY_PROGRAMS:
         if program.pattern.match(start):
             message = f"is {program.title}, expected a camera file that gsgen reads"
             return ConfigInvalid(message, where=str(path), hint=f"{program.way_out} {supported}")

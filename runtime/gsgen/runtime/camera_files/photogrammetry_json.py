@@ -31,7 +31,7 @@ from gsgen.runtime.camera_files.poses import view_from_opencv
 
 _PERSPECTIVE_TYPES: Final = ("perspective", "brown", "simple_radial", "radial")
 _SPHERICAL_TYPES: Final = ("spherical", "equirectangular")
-_MIDDLE_FIELDS: Final = {"c_x", "c_y"}
+_PRINCIPAL_POINT_FIELDS: Final = {"c_x", "c_y"}
 
 
 def is_opensfm(document: object) -> bool:
@@ -91,7 +91,7 @@ def _shot_camera(shot: Fields, lens: Fields, where: str) -> Any:
         raise _unsupported_lens(kind, (*_PERSPECTIVE_TYPES, *_SPHERICAL_TYPES), where)
     cx, cy = (
         number(lens, name, where) * longer_side if name in lens else 0.0
-        for name in sorted(_MIDDLE_FIELDS)
+        for name in sorted(_PRINCIPAL_POINT_FIELDS)
     )
     size: dict[str, Any] = {"width": width, "height": height}
     return camera_at(where, view=view, cx=width / 2 + cx, cy=height / 2 + cy, **values, **size)

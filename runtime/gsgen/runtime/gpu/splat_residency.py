@@ -61,17 +61,19 @@ def bytes_of(data: SplatData, *, compact: bool) -> int:
     is_half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(appearance_stride(data.appearance.shape[1], is_half=is_half))
-    cells = 0 if data.cells is None else 4 * layout.ROW * len(data.cells)
+    cells = 0 if data.cells is None else 4 * layout.ROW_LENGTH * len(data.cells)
     return len(data) * row + cells
 
 
 def is_larger_than_binding(device: Device, data: SplatData) -> bool:
     """Return whether the cells of a splat set take more than one GPU binding."""
-    return data.cells is not None and 4 * layout.ROW * len(data.cells) > device.largest_binding
+    return (
+        data.cells is not None and 4 * layout.ROW_LENGTH * len(data.cells) > device.largest_binding
+    )
 
 
 def _bytes_of_row(*, packed: bool) -> int:
-    return PACKED_BYTES if packed else 4 * layout.ROW
+    return PACKED_BYTES if packed else 4 * layout.ROW_LENGTH
 
 
 def _bytes_of_appearance(appearance_stride: int) -> int:
@@ -233,7 +235,7 @@ class _SetVersions(NamedTuple):
 
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
-class _Resident:
+class _ResidentSplats:
     """The pages (GPU buffers) of one ``SplatData``, and the uploaded part of each of its arrays.
 
     Attributes:
@@ -278,7 +280,7 @@ class Residency:
         self._compact = compact
         self._device = device
         self._page_rows = page_rows
-        self._resident_by_data: WeakKeyDictionary[SplatData, _Resident]
+        self._resident_by_data: WeakKeyDictionary[SplatData, _ResidentSplats]
         self._resident_by_data = WeakKeyDictionary()
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
@@ -301,7 +303,7 @@ class Residency:
     def _update_layout(
         self,
         data: SplatData,
-        resident: _Resident,
+        resident: _ResidentSplats,
         old_versions: _SetVersions,
         new_versions: _SetVersions,
     ) -> None:
@@ -327,7 +329,7 @@ class Residency:
         resident.skips_reordering = True
         self._set_row_order(resident, None)
 
-    def _store_unpacked(self, resident: _Resident) -> None:
+    def _store_unpacked(self, resident: _ResidentSplats) -> None:
         """Store changing Gaussians unpacked on the GPU: packing them takes longer than a frame."""
         if any(page.packed for page in resident.pages):
             size = _bytes_of_row(packed=False)
@@ -341,7 +343,7 @@ class Residency:
                 for page in resident.pages
             ]
 
-    def _set_row_order(self, resident: _Resident, order: SpatialOrder | None) -> None:
+    def _set_row_order(self, resident: _ResidentSplats, order: SpatialOrder | None) -> None:
         """Set the order of a splat set's rows in GPU memory, and upload all rows again."""
         resident.order = order
         resident.rows, resident.appearance = _UploadedPart(), _UploadedPart()
@@ -355,9 +357,9 @@ class Residency:
             for page in resident.pages
         ]
 
-    def _get_resident(self, data: SplatData) -> _Resident:
+    def _get_resident(self, data: SplatData) -> _ResidentSplats:
         if data not in self._resident_by_data:
-            self._resident_by_data[data] = _Resident(
+            self._resident_by_data[data] = _ResidentSplats(
                 pages=list(self._allocate(data)),
                 rows=_UploadedPart(),
                 appearance=_UploadedPart(),
@@ -407,7 +409,7 @@ class Residency:
 
     def _upload(
         self,
-        resident: _Resident,
+        resident: _ResidentSplats,
         live_rows: slice,
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
@@ -420,7 +422,7 @@ class Residency:
             else:
                 upload(self._device, upload_target, array, resident.order.rows[part])
 
-    def _write_cells(self, data: SplatData, resident: _Resident) -> None:
+    def _write_cells(self, data: SplatData, resident: _ResidentSplats) -> None:
         if data.cells is None or not resident.pages:
             return
         size, convert = (
@@ -462,4 +464,4 @@ class Residency:
             )
 
     def _cells(self, count: int) -> Buffer:
-        return self._device.dynamic_storage("cells", 4 * layout.ROW * count)
+        return self._device.dynamic_storage("cells", 4 * layout.ROW_LENGTH * count)

@@ -64,7 +64,7 @@ _OUTLIER_PERCENT: Final = 2.0  # percent of the depths, at each end, outside the
 _MILLISECONDS: Final = 1000
 _ALPHA_THRESHOLD: Final = 128
 """The least alpha of pixels that are shown as opaque."""
-_OPAQUE: Final = 255
+_OPAQUE_ALPHA: Final = 255
 _TRANSPARENT_INDEX: Final = 255
 """The palette index of transparent pixels, and the number of colours."""
 _DISPOSE_TO_BACKGROUND: Final = 2
@@ -227,7 +227,9 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     """
     image = _image()
     options: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
-    if any(picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE for picture in pictures):
+    if any(
+        picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE_ALPHA for picture in pictures
+    ):
         frames = [_with_transparent_color(picture) for picture in pictures]
         options |= {
             "disposal": _DISPOSE_TO_BACKGROUND,

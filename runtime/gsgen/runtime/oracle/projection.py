@@ -8,8 +8,8 @@ __all__ = [
     "MAX_ALPHA",
     "MIN_ALPHA",
     "TIE_TOLERANCE",
-    "Ellipses",
     "Picture",
+    "ScreenEllipses",
     "Splats",
     "drawn_splats",
     "ellipses",
@@ -66,7 +66,7 @@ class Picture:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Ellipses:
+class ScreenEllipses:
     """The ellipses of Gaussians, or of cells (groups of Gaussians), in an image.
 
     Attributes:
@@ -88,7 +88,9 @@ class Ellipses:
     position: Float[np.ndarray, "n 3"]
 
 
-def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
+def ellipses(
+    rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera
+) -> ScreenEllipses:
     """Project Gaussians, or groups (cells) of them, of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     rotation = camera.view[:3, :3]
@@ -110,7 +112,7 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
             & (dilated_covariance[:, 0, 0] > 0)
             & (dilated_covariance[:, 1, 1] > 0)
         )
-    return Ellipses(
+    return ScreenEllipses(
         mean=mean,
         covariance=covariance,
         dilated_covariance=dilated_covariance,

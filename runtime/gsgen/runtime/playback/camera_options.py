@@ -14,7 +14,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
 from gsgen.runtime.sources.source import Source, axis_direction
 
-_FORMS_HINT: Final = (
+_ACCEPTED_FORMS_HINT: Final = (
     "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
 )
 _AZIMUTH: Final = 30.0
@@ -226,7 +226,9 @@ def viewpoint(
     path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(
-            f"{text!r} is neither a camera nor an existing file", where="--camera", hint=_FORMS_HINT
+            f"{text!r} is neither a camera nor an existing file",
+            where="--camera",
+            hint=_ACCEPTED_FORMS_HINT,
         )
     size = (width, height) if width is not None and height is not None else None
     file = open_cameras(path, size)
@@ -256,12 +258,14 @@ def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]
     try:
         numbers = tuple(float(word) for word in part.split(","))
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--camera", hint=_FORMS_HINT) from error
+        raise ConfigInvalid(
+            f"{text!r}: {error}", where="--camera", hint=_ACCEPTED_FORMS_HINT
+        ) from error
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         expected = " or ".join(map(str, counts))
         raise ConfigInvalid(
             f"{text!r} has {len(numbers)} numbers, expected {expected} finite ones",
             where="--camera",
-            hint=_FORMS_HINT,
+            hint=_ACCEPTED_FORMS_HINT,
         )
     return numbers

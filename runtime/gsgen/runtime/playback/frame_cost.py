@@ -18,7 +18,7 @@ from gsgen.runtime.renderer.placed_pages import PlacedPage
 from gsgen.runtime.scene.camera import Camera
 
 _WARM_UP_FRAMES: Final = 2  # these compile kernels and grow the buffer of pairs
-_STAGED_FRAMES: Final = 8  # most frames whose stages are measured
+_MAX_MEASURED_FRAMES: Final = 8  # most frames whose stages are measured
 _BLACK: Final = np.zeros(3)
 
 
@@ -175,7 +175,7 @@ def _stage(sequence: FrameSequence) -> _StageCost:
     renderer = sequence.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
     frame_numbers = np.unique(
-        np.linspace(0, sequence.frames - 1, _STAGED_FRAMES).round().astype(int)
+        np.linspace(0, sequence.frames - 1, _MAX_MEASURED_FRAMES).round().astype(int)
     )
     submit: list[float] = []
     rows: list[dict[str, float]] = []

@@ -1,6 +1,6 @@
 """Draws every frame of a playback into an image file, a video or a folder."""
 
-__all__ = ["FULL_TURN", "FrameSequence"]
+__all__ = ["FULL_TURN_DEGREES", "FrameSequence"]
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.source import Source
 
-FULL_TURN: Final = 360.0
+FULL_TURN_DEGREES: Final = 360.0
 """Degrees of one orbit around the scene."""
 
 
@@ -88,7 +88,7 @@ class FrameSequence(Playback):
         )
         self._view, self._mode, self.notes = view, mode, view.notes + notes
         is_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
-        self._turn = turn if turn is not None else (FULL_TURN if is_turning else 0.0)
+        self._turn = turn if turn is not None else (FULL_TURN_DEGREES if is_turning else 0.0)
         self.player = self.make_player(renderer, background, PICTURE_MODES[mode], post)
         self._last: Frame | None = None
 

@@ -14,7 +14,7 @@ from jaxtyping import Shaped
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.array_files import ArraysUnreadable, read_array_file
 
-_FORMS_HINT: Final = (
+_ACCEPTED_FORMS_HINT: Final = (
     "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
 )
 
@@ -75,7 +75,9 @@ def input_track(text: str) -> Track:
     input_name, equals_sign, value = text.partition("=")
     where = f"--input {input_name}"
     if not (input_name and equals_sign and value):
-        raise ConfigInvalid(f"{text!r} has no name or no value", where="--input", hint=_FORMS_HINT)
+        raise ConfigInvalid(
+            f"{text!r} has no name or no value", where="--input", hint=_ACCEPTED_FORMS_HINT
+        )
     if Path(value).suffix.lower() in ARRAY_SUFFIXES:
         return Track(input_name, read_array(Path(value)), f"{where}={value}")
     first, separator, last = value.partition("..")
@@ -88,7 +90,9 @@ def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
     try:
         numbers = [float(input_name) for input_name in part.split(",")]
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS_HINT) from error
+        raise ConfigInvalid(
+            f"{text!r}: {error}", where="--input", hint=_ACCEPTED_FORMS_HINT
+        ) from error
     return integers_if_whole(np.asarray(numbers))
 
 

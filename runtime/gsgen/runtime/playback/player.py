@@ -20,7 +20,7 @@ from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_OUTPUT_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource, Source, Values
 
@@ -83,7 +83,7 @@ class Player:
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
         background: Sequence[float] = _TRANSPARENT,
-        outputs: Collection[Output] = COLOR_ONLY,
+        outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
         frames_in_flight: int = MAX_FRAMES_IN_FLIGHT,
@@ -294,7 +294,7 @@ class GeneratorPlayer:
         confined: bool = False,
         renderer: Renderer | None = None,
         background: Sequence[float] = _TRANSPARENT,
-        outputs: Collection[Output] = COLOR_ONLY,
+        outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
     ) -> None:
         models = [Path(model), *map(Path, post)]
         self._confined: ConfinedModels | None = None

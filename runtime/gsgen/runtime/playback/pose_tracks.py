@@ -56,7 +56,7 @@ _BODY_JOINT_COUNTS: Final = (_SHARED_JOINT_COUNT, 24, 52, 55)
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
+class _PoseMotion:
     """The arrays of a motion file, each with frames along the first axis."""
 
     pose: Float[np.ndarray, "t ..."]
@@ -135,7 +135,7 @@ def _fit_pose(
     return padded
 
 
-def _read_motion(path: Path) -> _Motion:
+def _read_motion(path: Path) -> _PoseMotion:
     if not path.is_dir():
         return _read_file(path)
     for suffix in ARRAY_SUFFIXES:
@@ -152,13 +152,13 @@ def _frame_number_key(path: Path) -> tuple[int, str]:
     return (int(match[1]) if match else -1, path.stem)
 
 
-def _join_frames(path: Path, frames: list[_Motion]) -> _Motion:
+def _join_frames(path: Path, frames: list[_PoseMotion]) -> _PoseMotion:
     try:
         extra_inputs = {
             name: np.concatenate([frame.extra_inputs[name] for frame in frames])
             for name in frames[0].extra_inputs
         }
-        return _Motion(
+        return _PoseMotion(
             np.concatenate([frame.pose for frame in frames]), extra_inputs, frames[0].fps
         )
     except (KeyError, ValueError) as error:
@@ -166,7 +166,7 @@ def _join_frames(path: Path, frames: list[_Motion]) -> _Motion:
         raise ConfigInvalid(message, where=str(path)) from error
 
 
-def _read_file(path: Path) -> _Motion:
+def _read_file(path: Path) -> _PoseMotion:
     try:
         if path.exists() and not path.is_file():
             raise ValueError("the file is a pipe or a device")
@@ -174,7 +174,7 @@ def _read_file(path: Path) -> _Motion:
             return _motion_of_json(json.loads(path.read_text("utf-8")), str(path))
         arrays = read_array_file(path, _ARRAY_NAMES)
         if "" in arrays:
-            return _Motion(_with_frame_axis(arrays[""], str(path)), {})
+            return _PoseMotion(_with_frame_axis(arrays[""], str(path)), {})
         has_pose = any(name in arrays for name in _POSE_NAMES)
         return _motion_of_arrays(arrays if has_pose else read_array_file(path), str(path))
     except ArraysUnreadable as error:
@@ -198,7 +198,7 @@ def _with_frame_axis(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."
     return numbers[None] if is_single_pose else numbers
 
 
-def _motion_of_json(document: object, where: str) -> _Motion:
+def _motion_of_json(document: object, where: str) -> _PoseMotion:
     if (
         isinstance(document, list)
         and document
@@ -214,10 +214,10 @@ def _motion_of_json(document: object, where: str) -> _Motion:
         return _motion_of_arrays(
             {name: np.asarray(values) for name, values in document.items()}, where
         )
-    return _Motion(_with_frame_axis(np.asarray(document), where), {})
+    return _PoseMotion(_with_frame_axis(np.asarray(document), where), {})
 
 
-def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
+def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _PoseMotion:
     parts = []
     for name, size in _BODY_PARTS.items():
         part = np.asarray(document.get(name, ()), np.float64).ravel()
@@ -230,10 +230,10 @@ def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
         for name, role in {"trans": "root_translation", "expr": "expression"}.items()
         if name in document
     }
-    return _Motion(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
+    return _PoseMotion(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
 
 
-def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
+def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _PoseMotion:
     names = [name for name in _POSE_NAMES if name in arrays]
     if not names and len(arrays) == 1:
         names = list(arrays)
@@ -250,7 +250,7 @@ def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
                 raise ConfigInvalid(message, where=f"{where}, {name}")
             extra_inputs[role] = rows.reshape(len(pose), size)
     rates = [(name, arrays[name]) for name in _RATE_FIELDS if name in arrays]
-    return _Motion(pose, extra_inputs, _rate(*rates[0], where) if rates else None)
+    return _PoseMotion(pose, extra_inputs, _rate(*rates[0], where) if rates else None)
 
 
 def _rate(name: str, array: np.ndarray, where: str) -> float:

@@ -9,10 +9,10 @@ from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
-from gsgen.runtime.kernels.project.place_splats import PlaceSplats
+from gsgen.runtime.kernels.project.place_splats import PlaceSplatsKernel
 from gsgen.runtime.kernels.project.project import ProjectKernel
 from gsgen.runtime.kernels.project.project_cells import ProjectCells, SlabCells
-from gsgen.runtime.kernels.project.tally_keys import TallyKeys
+from gsgen.runtime.kernels.project.tally_keys import CountKeysKernel
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
@@ -142,13 +142,13 @@ class Kernels:
             NormalsKernel, packed=page.packed, slot_rows=slot_rows(page), placed=placed
         )
 
-    def tally(self) -> TallyKeys:
+    def tally(self) -> CountKeysKernel:
         """Return the kernel that counts sort keys."""
-        return self._cached_kernel(TallyKeys)
+        return self._cached_kernel(CountKeysKernel)
 
-    def place(self, *, is_reordered: bool) -> PlaceSplats:
+    def place(self, *, is_reordered: bool) -> PlaceSplatsKernel:
         """Return the kernels that index the rows of a slab."""
-        return self._cached_kernel(PlaceSplats, is_reordered=is_reordered)
+        return self._cached_kernel(PlaceSplatsKernel, is_reordered=is_reordered)
 
     def bin_tiles(self, *, panorama: bool, records: bool, digits: FirstDigits) -> BinTiles:
         """Return the kernels that list the tiles of splats."""

@@ -1,6 +1,6 @@
 """Reads a frame's GPU counters or images while the GPU draws the next one, without waiting."""
 
-__all__ = ["MAX_FRAMES_IN_FLIGHT", "FrameInFlight", "LateCounts", "Readbacks"]
+__all__ = ["MAX_FRAMES_IN_FLIGHT", "DelayedCounts", "FrameInFlight", "Readbacks"]
 
 import time
 from collections import deque
@@ -21,7 +21,7 @@ MAX_FRAMES_IN_FLIGHT: Final = 2
 
 
 @final
-class LateCounts:
+class DelayedCounts:
     """The GPU counters of frames that are still being drawn, oldest frame first.
 
     Attributes:

@@ -24,7 +24,7 @@ from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet
+from gsgen.runtime.scene.splat_pool import PooledSplatSet
 
 PlacedPage = tuple[SplatSet, Page]
 """A splat set with one of its pages (GPU buffers)."""
@@ -82,10 +82,10 @@ def write_pages(
     device.write(uniform, page_uniforms(pages, camera))
 
 
-def settings_set(pooled: PooledSet) -> SplatSet:
+def settings_set(pooled: PooledSplatSet) -> SplatSet:
     """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
     pool = pooled.pool
-    rows = np.zeros((0, layout.ROW), np.float32)
+    rows = np.zeros((0, layout.ROW_LENGTH), np.float32)
     data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
     return SplatSet(
         data,

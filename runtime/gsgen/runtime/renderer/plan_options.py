@@ -13,8 +13,8 @@ __all__ = [
 from dataclasses import dataclass
 from typing import Literal, final
 
-from gsgen.runtime.renderer.slabs import UNSLABBED, SlabSizes
-from gsgen.runtime.scene.frame import COLOR_ONLY, Output
+from gsgen.runtime.renderer.slabs import WITHOUT_SLABS, SlabSizes
+from gsgen.runtime.scene.frame import COLOR_OUTPUT_ONLY, Output
 
 Projection = Literal["plane", "panorama"]
 """Where splats are projected to; a panorama draws a splat up to three times, around its seam."""
@@ -45,7 +45,7 @@ class ImageSpec:
     """
 
     size: tuple[int, int]
-    outputs: frozenset[Output] = frozenset(COLOR_ONLY)
+    outputs: frozenset[Output] = frozenset(COLOR_OUTPUT_ONLY)
     projection: Projection = "plane"
     dilation: Dilation = "usual"
 
@@ -81,4 +81,4 @@ class RasterMethod:
     rasteriser: Rasteriser = "tiles"
     sort: DepthSort = "by key"
     backgrounds: Backgrounds = "composed"
-    slabs: SlabSizes = UNSLABBED
+    slabs: SlabSizes = WITHOUT_SLABS

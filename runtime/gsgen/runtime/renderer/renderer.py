@@ -31,21 +31,21 @@ from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.late_counts import FrameInFlight, LateCounts, Readbacks
+from gsgen.runtime.renderer.late_counts import DelayedCounts, FrameInFlight, Readbacks
 from gsgen.runtime.renderer.placed_pages import PlacedPage, settings_set
 from gsgen.runtime.renderer.plan_options import ImageSpec, Rasteriser, RasterMethod
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_sort_config
 from gsgen.runtime.renderer.slabs import SlabSizes, extra_layers, max_slab_splats, max_sorted_rows
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_OUTPUT_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 
 FIRST_PAIR_CAPACITY: Final = 1 << 16
 """Pairs of a splat and a tile for which a new renderer has room."""
 PAIR_CAPACITY_FACTOR: Final = 1.25
 """Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
-_GROW_THRESHOLD: Final = 0.9  # of the room for pairs; more are made room for before they are needed
-_UNLIMITED: Final = 1 << 32  # splats: more than any device draws at once
+_PAIR_BUFFER_GROWTH_THRESHOLD: Final = 0.9  # of the room for pairs: more is made early
+_UNLIMITED_SPLATS: Final = 1 << 32  # splats: more than any device draws at once
 
 
 @final
@@ -109,13 +109,13 @@ class Renderer:
                 self.rasteriser = choose(self.device, self._kernels)
                 if (sort_config := chosen_sort_config(self.device)) != self._kernels.sort_config:
                     self._kernels = Kernels(self.device, sort_config=sort_config)
-        self._is_deep, self._slab_limit = False, _UNLIMITED
+        self._is_deep, self._slab_limit = False, _UNLIMITED_SPLATS
         self._rows: object = None
         self._plan_key: object = None
         self._plan: Plan | None = None
         self._plan_shape: object = None
         self._steady_counts: tuple[object, np.ndarray] | None = None
-        self.late_counts, self._readbacks, self.growths = LateCounts(), Readbacks(), 0
+        self.late_counts, self._readbacks, self.growths = DelayedCounts(), Readbacks(), 0
 
     def render(
         self,
@@ -123,7 +123,7 @@ class Renderer:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        outputs: Collection[Output] = COLOR_ONLY,
+        outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
     ) -> Frame:
         """Draw a scene as a camera sees it, and return the images.
 
@@ -148,7 +148,7 @@ class Renderer:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        outputs: Collection[Output] = COLOR_ONLY,
+        outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
     ) -> FrameInFlight:
         """Begin to draw a scene, without waiting for the GPU; :meth:`collect` returns the images.
 
@@ -381,7 +381,7 @@ class Renderer:
 
     def _grow_early(self, counts: np.ndarray) -> None:
         """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
-        if int(counts[Counts.WANTED_PAIRS]) > _GROW_THRESHOLD * self._pairs:
+        if int(counts[Counts.WANTED_PAIRS]) > _PAIR_BUFFER_GROWTH_THRESHOLD * self._pairs:
             self._grow_pair_capacity(min(int(counts[Counts.WANTED_PAIRS]), self._max_pairs))
 
     def settle(self) -> bool:
@@ -440,7 +440,7 @@ class Renderer:
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
-            self._rows, self._is_deep, self._slab_limit = rows, False, _UNLIMITED
+            self._rows, self._is_deep, self._slab_limit = rows, False, _UNLIMITED_SPLATS
         image = ImageSpec(
             size=(camera.width, camera.height),
             outputs=outputs,

@@ -1,7 +1,7 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
 __all__ = [
-    "UNSLABBED",
+    "WITHOUT_SLABS",
     "KeyRange",
     "SlabSizes",
     "SlabState",
@@ -24,7 +24,7 @@ from jaxtyping import Shaped
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page, is_larger_than_binding
-from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACE_BLOCK
+from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACEMENT_BLOCK_ROWS
 from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
@@ -38,7 +38,7 @@ from gsgen.runtime.scene.frame import OUTPUTS
 from gsgen.runtime.scene.scene import Scene
 
 _SLAB_STAGES: Final = ("project", "sort", "bin", "group", "blend", "depth", "normal")
-_CELL_STAGES: Final = (
+_CELL_KERNEL_STAGES: Final = (
     *("project weighted", "sort cells", "bin cells", "group cells"),
     *("sum", "sum depth", "sum normal"),
 )
@@ -46,7 +46,7 @@ _CELL_STAGES: Final = (
 _REDRAW_COUNTERS: Final = [Counts.TIED, Counts.UNSORTED]
 _ROW_TIED_COUNT: Final = 2  # numbers of ``KeyRange.tied`` if keys are rows, or cells
 _CELL_TIED_COUNT: Final = 3  # the same if keys are rows of one cell
-_SUMMED_COUNTERS: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
+_COUNTERS_SUMMED_OVER_SLABS: Final = [Counts.VISIBLE, Counts.PAIRS, Counts.DRAWN]
 _BIN_BITS: Final = BIN_COUNT.bit_length() - 1
 _KEY_BITS: Final = 31  # keys are bits of positive floats
 
@@ -158,7 +158,7 @@ class SlabSizes(NamedTuple):
         )
 
 
-UNSLABBED: Final = SlabSizes()
+WITHOUT_SLABS: Final = SlabSizes()
 """The sizes for a scene that no slabs divide."""
 
 
@@ -248,7 +248,7 @@ def _key_bins(
 def _add_earlier(previous: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Add up the GPU counters of all depth slabs."""
     total = counts.copy()
-    total[_SUMMED_COUNTERS] += previous[_SUMMED_COUNTERS]
+    total[_COUNTERS_SUMMED_OVER_SLABS] += previous[_COUNTERS_SUMMED_OVER_SLABS]
     total[Counts.WANTED_PAIRS] = max(counts[Counts.WANTED_PAIRS], previous[Counts.WANTED_PAIRS])
     return total
 
@@ -302,7 +302,7 @@ class Slabs:
         device = kernels.device
         self._device, self._kernels, self._pages = device, kernels, pages
         self._is_weighted = weighted
-        self._stages = _CELL_STAGES if weighted else _SLAB_STAGES
+        self._stages = _CELL_KERNEL_STAGES if weighted else _SLAB_STAGES
         self._key_stages = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
         self.buffers: dict[str, Buffer] = {}
@@ -313,7 +313,7 @@ class Slabs:
             for slot, page in enumerate(pages)
         ]
         self.place_buffer = self._storage("places of a page", 4 * rows)
-        self._block_counts = self._storage("block counts", 4 * -(-rows // PLACE_BLOCK))
+        self._block_counts = self._storage("block counts", 4 * -(-rows // PLACEMENT_BLOCK_ROWS))
         self._page_ends = self._storage("ends of pages", PAGE_BYTES * (len(pages) + 1))
         self.key_counts = self._storage("tally of keys", 4 * BIN_COUNT)
         self.origins = self._storage("origins", 4 * capacity)
@@ -488,7 +488,7 @@ def draw_parts(
     """
     previous, rest = None, list(stages)
     if weighted is not None:
-        slab_range = [name for name in stages if name in ("meshes", *_CELL_STAGES)]
+        slab_range = [name for name in stages if name in ("meshes", *_CELL_KERNEL_STAGES)]
         previous, images = weighted.draw(slab_range, run)
         rest = [name for name in stages if name not in slab_range and "cells" not in name]
         if not rest or _is_redrawn(previous):

@@ -343,7 +343,7 @@ def _weighted_sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[Sp
 
 def _cells(page: Page) -> int:
     """Return the number of cells (groups of Gaussians) of the splat set in a page (GPU buffers)."""
-    return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
+    return 0 if page.cells is None else page.cells.size // (4 * layout.ROW_LENGTH)
 
 
 def _set_weights(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:

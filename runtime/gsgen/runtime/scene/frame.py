@@ -1,6 +1,6 @@
 """The result of rendering a scene: an image with depths, Gaussian ids and normals."""
 
-__all__ = ["COLOR_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output", "psnr"]
+__all__ = ["COLOR_OUTPUT_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output", "psnr"]
 
 import io
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Output = Literal["color", "depth", "normal"]
 OUTPUTS: Final[tuple[Output, ...]] = ("color", "depth", "normal")
 """All outputs of a frame."""
 
-COLOR_ONLY: Final[tuple[Output, ...]] = ("color",)
+COLOR_OUTPUT_ONLY: Final[tuple[Output, ...]] = ("color",)
 """The default outputs of a frame."""
 
 NOTHING: Final = -1

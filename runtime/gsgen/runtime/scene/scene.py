@@ -15,7 +15,7 @@ from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 
@@ -127,14 +127,14 @@ class Scene:
     sets: tuple[SplatSet, ...]
     color_space: Literal["srgb", "linear"] = "srgb"
     meshes: tuple[Mesh, ...] = ()
-    pools: tuple[PooledSet, ...] = ()
+    pools: tuple[PooledSplatSet, ...] = ()
 
     def __init__(
         self,
         sets: Iterable[SplatSet | SplatData],
         color_space: Literal["srgb", "linear"] | None = None,
         meshes: Iterable[Mesh | MeshData] = (),
-        pools: Iterable[PooledSet | SplatPool] = (),
+        pools: Iterable[PooledSplatSet | SplatPool] = (),
     ) -> None:
         splat_sets = tuple(map(_as_set, sets))
         object.__setattr__(self, "sets", splat_sets)
@@ -142,7 +142,7 @@ class Scene:
         placed_meshes = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
         object.__setattr__(self, "meshes", placed_meshes)
         pooled_sets = tuple(
-            pooled_set if isinstance(pooled_set, PooledSet) else PooledSet(pooled_set)
+            pooled_set if isinstance(pooled_set, PooledSplatSet) else PooledSplatSet(pooled_set)
             for pooled_set in pools
         )
         object.__setattr__(self, "pools", pooled_sets)

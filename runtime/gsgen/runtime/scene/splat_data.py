@@ -103,7 +103,7 @@ class SplatData:
         """
         spacing = _spacing(points.position)
         variance = (0.5 * np.minimum(spacing, 4 * np.median(spacing))) ** 2
-        rows = np.zeros((len(points), layout.ROW), np.float32)
+        rows = np.zeros((len(points), layout.ROW_LENGTH), np.float32)
         rows[:, layout.POSITION] = points.position
         rows[:, layout.OPACITY] = opacity
         rows[:, layout.COVARIANCE] = variance[:, None] * [1, 0, 0, 1, 0, 1]
@@ -187,9 +187,9 @@ def _validate_rows(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return validated packed Gaussians and colours in C order, and the number of Gaussians."""
     allowed = layout.APPEARANCE_CHANNELS[space]
-    if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _APPEARANCE_DTYPES:
+    if rows.ndim != 2 or rows.shape[1] != layout.ROW_LENGTH or rows.dtype not in _APPEARANCE_DTYPES:
         raise SceneInvalid(
-            f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
+            f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW_LENGTH}]",
             where="rows",
         )
     is_valid = appearance.ndim == 2 and appearance.shape[1] in allowed
@@ -208,12 +208,14 @@ def _validate_rows(
 def _validate_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
     """Validate the rows of cells (groups of Gaussians), and return them in C order."""
     is_valid = (
-        cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _APPEARANCE_DTYPES
+        cells.ndim == 2
+        and cells.shape[1] == layout.ROW_LENGTH
+        and cells.dtype in _APPEARANCE_DTYPES
     )
     if per_cell < 1 or not is_valid or len(cells) * per_cell != rows:
         raise SceneInvalid(
             f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 "
-            f"or float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",
+            f"or float32 [C, {layout.ROW_LENGTH}] with C × {per_cell} = {rows} rows",
             where="cells",
         )
     return np.ascontiguousarray(cells)

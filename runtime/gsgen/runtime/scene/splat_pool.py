@@ -5,7 +5,14 @@ neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn o
 the slot table, which is written every frame.
 """
 
-__all__ = ["REACH_SIGMAS", "SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool", "pool_row_bytes"]
+__all__ = [
+    "REACH_SIGMAS",
+    "SLOT_ROWS",
+    "PooledSplatSet",
+    "SlotWrite",
+    "SplatPool",
+    "pool_row_bytes",
+]
 
 import heapq
 from collections.abc import Mapping
@@ -31,7 +38,7 @@ REACH_SIGMAS: Final = 3.5
 
 def pool_row_bytes(channels: int) -> int:
     """Return the most bytes that a Gaussian of a splat pool takes on the GPU."""
-    return 4 * layout.ROW + -(-4 * channels // _VECTOR_BYTES) * _VECTOR_BYTES
+    return 4 * layout.ROW_LENGTH + -(-4 * channels // _VECTOR_BYTES) * _VECTOR_BYTES
 
 
 @final
@@ -239,10 +246,13 @@ class SplatPool:
             self._slots_of[tile] = staged_slots + drawn
 
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
-        if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
+        if rows.shape != (len(rows), layout.ROW_LENGTH) or appearance.shape != (
+            len(rows),
+            self.channels,
+        ):
             raise SceneInvalid(
                 f"has rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
-                f"[N, {layout.ROW}] and [N, {self.channels}]",
+                f"[N, {layout.ROW_LENGTH}] and [N, {self.channels}]",
                 where=f"tile {tile}",
             )
 
@@ -332,7 +342,7 @@ class SplatPool:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class PooledSet:
+class PooledSplatSet:
     """A splat pool (GPU memory of streamed tiles) with a transform and drawing settings.
 
     Raises:

@@ -21,18 +21,20 @@ from gsgen.runtime.scene.splat_data import SplatData
 Box = tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]
 """The lowest and the highest corner of a box along the axes."""
 
-_SPREAD: Final = (
+_SPREAD_QUANTILES: Final = (
     10.0,
     90.0,
 )  # percent of the centres between which the object's spread is measured
-_FINEST: Final = 1 / 16  # least side of a cube, as a share of the spread
+_MIN_CUBE_SIDE: Final = 1 / 16  # least side of a cube, as a share of the spread
 _SPACINGS: Final = 2.0  # side of a cube in mean distances of evenly spread Gaussians
-_MIN_SHARE: Final = 0.02  # of all Gaussians, in a group that is part of the object
+_MIN_GROUP_SHARE: Final = 0.02  # of all Gaussians, in a group that is part of the object
 _LINK_SIGMAS: Final = 2.0  # a Gaussian occupies the cubes within this many standard deviations
-_LINK_STEPS: Final = 8  # most cubes to each side that one Gaussian occupies along an axis
+_MAX_CUBES_PER_GAUSSIAN: Final = (
+    8  # most cubes to each side that one Gaussian occupies along an axis
+)
 _GRID_SIZE: Final = 1 << 19  # cubes along an axis; Gaussians farther away are floaters
 _VISIBLE_ALPHA: Final = 1 / 255
-_SAMPLE: Final = 1 << 17  # most Gaussians that are grouped
+_MAX_GROUPED_GAUSSIANS: Final = 1 << 17  # most Gaussians that are grouped
 _NEIGHBOURS: Final = np.array(
     [(x << 42) + (y << 21) + z for x, y, z in itertools.product((-1, 0, 1), repeat=3)]
 )
@@ -76,12 +78,12 @@ def _floaters(
 ) -> Bool[np.ndarray, " n"]:
     """Return which Gaussians lie apart from the others, in groups of less than 2 %."""
     none = np.zeros(len(centers), bool)
-    if len(centers) * _MIN_SHARE <= 1:
+    if len(centers) * _MIN_GROUP_SHARE <= 1:
         return none  # each Gaussian is a group that is large enough
-    step = -(-len(centers) // _SAMPLE)
-    low, high = np.percentile(centers[::step], _SPREAD, axis=0)
+    step = -(-len(centers) // _MAX_GROUPED_GAUSSIANS)
+    low, high = np.percentile(centers[::step], _SPREAD_QUANTILES, axis=0)
     spread = float((high - low + 2 * np.median(sigmas[::step], axis=0)).max())
-    side = spread * max(_FINEST, _SPACINGS * len(none[::step]) ** (-1 / 3))
+    side = spread * max(_MIN_CUBE_SIDE, _SPACINGS * len(none[::step]) ** (-1 / 3))
     if not 0 < side < np.inf:
         return none
     # 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.
@@ -97,7 +99,7 @@ def _floaters(
     # 3. Groups of cubes that touch, and the number of Gaussians in each.
     groups = _groups(occupied)
     counts = np.bincount(groups[np.searchsorted(occupied, sample)], minlength=groups.max() + 1)
-    retained = occupied[(counts >= _MIN_SHARE * len(none[::step]))[groups]]
+    retained = occupied[(counts >= _MIN_GROUP_SHARE * len(none[::step]))[groups]]
     if step > 1:  # the sample may miss cubes at the object's edge
         retained = np.unique((retained[:, None] + _NEIGHBOURS).ravel())
     if not len(retained):
@@ -110,7 +112,7 @@ def _floaters(
 
 def _keys(cubes: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """Return one integer per cube, of 21 bits for each axis; neighbours differ by a constant."""
-    x, y, z = (cubes.astype(np.int64) + _GRID_SIZE + 2 * _LINK_STEPS).T
+    x, y, z = (cubes.astype(np.int64) + _GRID_SIZE + 2 * _MAX_CUBES_PER_GAUSSIAN).T
     return np.asarray((x << 42) + (y << 21) + z)
 
 
@@ -122,7 +124,7 @@ def _reached_keys(
 ) -> list[Int64[np.ndarray, " m"]]:
     """Return the cubes along the axes within two standard deviations of large Gaussians."""
     keys = []
-    for axis, step in itertools.product(range(3), range(1, _LINK_STEPS + 1)):
+    for axis, step in itertools.product(range(3), range(1, _MAX_CUBES_PER_GAUSSIAN + 1)):
         reach = _LINK_SIGMAS * sigmas[:, axis]
         large = reach > (step - 1) * side
         if step == 1:

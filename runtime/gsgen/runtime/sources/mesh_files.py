@@ -230,7 +230,7 @@ def _world_matrices(scene: "trimesh.Scene") -> dict[Hashable, Float[np.ndarray, 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Surface:
+class _SurfaceMaterial:
     """The colours and the texture of a mesh, in the colour space of the file."""
 
     colors: Float[np.ndarray, "v 3"] | None
@@ -254,7 +254,7 @@ def _mesh_data(
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
         face_colors = np.asarray(visual.face_colors)[:, :3] / 255.0
-        surface = _Surface(np.repeat(face_colors, 3, axis=0), _WHITE)
+        surface = _SurfaceMaterial(np.repeat(face_colors, 3, axis=0), _WHITE)
     else:
         surface = _surface(geometry, has_no_materials=has_no_materials)
     is_colored = (
@@ -277,7 +277,7 @@ def _mesh_data(
     return data, is_colored
 
 
-def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface:
+def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _SurfaceMaterial:
     visual: Any = geometry.visual  # attributes depend on the kind
     attributes = geometry.vertex_attributes
     colors = None
@@ -288,7 +288,7 @@ def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface
         colors = vertex_colors / (255.0 if vertex_colors.dtype.kind in "iu" else 1.0)
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
-        return _Surface(colors, _WHITE)
+        return _SurfaceMaterial(colors, _WHITE)
     rgba = getattr(material, "baseColorFactor", None)
     if rgba is None:
         rgba = getattr(material, "diffuse", None)
@@ -297,9 +297,9 @@ def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface
     image = getattr(material, "image", None) if image is None else image
     uv = getattr(visual, "uv", None)
     if image is None or uv is None:
-        return _Surface(colors, color_factor)
+        return _SurfaceMaterial(colors, color_factor)
     texture = np.asarray(image.convert("RGBA"))
-    return _Surface(colors, color_factor, np.asarray(uv, np.float64), texture)
+    return _SurfaceMaterial(colors, color_factor, np.asarray(uv, np.float64), texture)
 
 
 def _has_materials(path: Path) -> bool:

@@ -11,7 +11,7 @@ from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
-from gsgen.runtime.sources.source import GeneratorSource, Source, StillSource
+from gsgen.runtime.sources.source import GeneratorSource, Source, StillFrameSource
 from gsgen.runtime.sources.stream_settings import StreamOpener
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def open_source(
                 hint="Pass stream=gsgen.tiles.open_stream.",
             )
         return stream(path, provider)
-    return MeshSource(path) if is_mesh(path) else StillSource(path)
+    return MeshSource(path) if is_mesh(path) else StillFrameSource(path)
 
 
 def is_model(path: Path) -> bool:

@@ -13,8 +13,8 @@ from gsgen.contract.errors import UnknownName
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
-from gsgen.runtime.scene.splat_pool import PooledSet
-from gsgen.runtime.sources.source import Shortfall, Source, Values
+from gsgen.runtime.scene.splat_pool import PooledSplatSet
+from gsgen.runtime.sources.source import Source, SourceShortfall, Values
 
 
 @final
@@ -74,7 +74,7 @@ class PlacedSource(Source):
         if self._fixed_values:
             self.update(None, {})
 
-    def _place_pool(self, pooled_set: PooledSet) -> PooledSet:
+    def _place_pool(self, pooled_set: PooledSplatSet) -> PooledSplatSet:
         """Return a splat pool (streamed tiles) with this source's transform and drawing settings.
 
         Raises:
@@ -111,7 +111,7 @@ class PlacedSource(Source):
         return self._inner.is_streaming
 
     @property
-    def shortfall(self) -> Shortfall | None:
+    def shortfall(self) -> SourceShortfall | None:
         """The parts of the placed source that the drawn frames lack; None if all is there."""
         return self._inner.shortfall
 

@@ -2,10 +2,10 @@
 
 __all__ = [
     "GeneratorSource",
-    "Shortfall",
     "Source",
+    "SourceShortfall",
     "StaticSource",
-    "StillSource",
+    "StillFrameSource",
     "Values",
     "axis_direction",
     "named",
@@ -29,7 +29,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet
+from gsgen.runtime.scene.splat_pool import PooledSplatSet
 from gsgen.runtime.sources.framing import Box, box_around, union_of_boxes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 
@@ -44,7 +44,7 @@ Values = Mapping[str, object]
 
 @final
 @dataclass(frozen=True, slots=True)
-class Shortfall:
+class SourceShortfall:
     """Parts of a source that the frames drawn so far lack.
 
     Attributes:
@@ -84,7 +84,7 @@ class Source(ABC):
     weighted: WeightedSum | None = None
     meshes: tuple[Mesh, ...] = ()
     inputs: tuple[Input, ...] = ()
-    pools: tuple[PooledSet, ...] = ()
+    pools: tuple[PooledSplatSet, ...] = ()
     seconds: float = 0.0
     _extent: tuple[Center, float] | None = None
 
@@ -168,7 +168,7 @@ class Source(ABC):
         return False
 
     @property
-    def shortfall(self) -> Shortfall | None:
+    def shortfall(self) -> SourceShortfall | None:
         """The parts that the drawn frames lack; None if all is there, as with files and models."""
         return None
 
@@ -254,7 +254,7 @@ class StaticSource(Source):
 
 
 @final
-class StillSource(StaticSource):
+class StillFrameSource(StaticSource):
     """The Gaussians of a splat file, the same in every frame, as a source for the renderer."""
 
     def __init__(self, path: Path) -> None:

@@ -18,7 +18,7 @@ _POLE: Final = math.radians(1.0)  # least angle between the view and straight up
 _RADIANS_PER_PIXEL: Final = math.radians(0.3)  # per dragged pixel
 _ZOOM_PER_WHEEL_UNIT: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
 _MOVE_SPEED: Final = 0.5  # reaches per second
-_FAST_FACTOR: Final = 4.0  # factor of the speed with shift
+_SHIFT_SPEED_FACTOR: Final = 4.0  # factor of the speed with shift
 _MIN_DISTANCE: Final = 1e-4  # reaches between the eye and the pivot
 _NEAR_FRACTION: Final = 0.01  # distance of the near plane, relative to that of the pivot
 
@@ -131,7 +131,9 @@ class Controls:
         )
         if not steps.any():
             return False
-        length = _MOVE_SPEED * self._scene_radius * seconds * (_FAST_FACTOR if is_fast else 1)
+        length = (
+            _MOVE_SPEED * self._scene_radius * seconds * (_SHIFT_SPEED_FACTOR if is_fast else 1)
+        )
         self.pivot = self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
         return True
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-_TEXT: Final = 14  # logical pixels
+_TEXT_SIZE_PIXELS: Final = 14  # logical pixels
 _LINE_HEIGHT: Final = 1.45  # text sizes
 _MARGIN_PIXELS: Final = 10
 _CORNER_RADIUS: Final = 6
@@ -25,7 +25,7 @@ _ORANGE_RGBA: Final = (255, 176, 64, 255)
 def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.ndarray, "h w 4"]:
     """Draw a panel of two columns of text; ``ratio`` is surface pixels per logical pixel."""
     rows = [(_printable(left), _printable(right)) for left, right in rows]
-    font, size = _font(round(_TEXT * ratio)), _TEXT * ratio
+    font, size = _font(round(_TEXT_SIZE_PIXELS * ratio)), _TEXT_SIZE_PIXELS * ratio
     margin, line = round(_MARGIN_PIXELS * ratio), round(size * _LINE_HEIGHT)
     first = max((font.getlength(left) for left, right in rows if right), default=0.0)
     column = round(first + 1.2 * size) if first else 0
@@ -102,7 +102,7 @@ class Slider:
         else:
             corners = [(left, middle - half), (left, middle + half), (left + 1.6 * half, middle)]
             draw.polygon(corners, _WHITE)
-        font = _font(round(_TEXT * ratio * 0.9))
+        font = _font(round(_TEXT_SIZE_PIXELS * ratio * 0.9))
         draw.text((high + 14 * ratio, middle), _printable(label), _WHITE, font, anchor="lm")
         return _premultiplied(image)
 

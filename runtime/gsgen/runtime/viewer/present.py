@@ -1,6 +1,6 @@
 """Shows a drawn image, and panels over it, on the surface of a window."""
 
-__all__ = ["PRESENT_CONSTANTS", "PRESENT_UNIFORM", "Panel", "Present", "View"]
+__all__ = ["PRESENT_CONSTANTS", "PRESENT_UNIFORM", "Panel", "PresentPass", "View"]
 
 import math
 from collections.abc import Sequence
@@ -81,7 +81,7 @@ class View:
 
 
 @final
-class Present:
+class PresentPass:
     """Draws an image and panels on a surface, by ``present.wgsl`` and ``panel.wgsl``.
 
     Args:

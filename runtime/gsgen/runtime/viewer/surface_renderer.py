@@ -20,7 +20,7 @@ from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
-from gsgen.runtime.viewer.present import Panel, Present, View
+from gsgen.runtime.viewer.present import Panel, PresentPass, View
 
 if TYPE_CHECKING:
     from rendercanvas.contexts import WgpuContext
@@ -67,7 +67,7 @@ class SurfaceRenderer:
         self.renderer = Renderer(
             self._open_device(), rasteriser=self._rasteriser, compact=self._compact
         )
-        self._present: Present | None = None
+        self._present: PresentPass | None = None
         self._configured_context: WgpuContext | None = None
         self._last_view: tuple[object, View] | None = None
         self.drawn: DrawnImage | None = None
@@ -102,7 +102,7 @@ class SurfaceRenderer:
             if context.get_configuration() is not None:
                 context.unconfigure()  # its texture belongs to a lost device
             context.configure(device=device.raw, format=surface_format)
-            self._present, self._configured_context = Present(device, surface_format), context
+            self._present, self._configured_context = PresentPass(device, surface_format), context
         self._present(context.get_current_texture(), view, panels)
 
     def _draw(self, playback: LivePlayback, request: ViewRequest) -> View:

@@ -20,7 +20,7 @@ from gsgen.contract.fetching.deadline import Deadline, DeadlineSocket
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
-_MOST_CONNECTIONS: Final = 256
+_MAX_CONNECTIONS: Final = 256
 _FIRST_REQUEST_SECONDS: Final = 10.0
 _IDLE_SECONDS: Final = 60.0
 _SEND_SECONDS: Final = 60.0
@@ -78,7 +78,7 @@ class LocalServer(ThreadingHTTPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer a connection on a thread; where there are too many, close the idlest."""
         with self._lock:
-            if len(self._waiting) + len(self._answering) >= _MOST_CONNECTIONS:
+            if len(self._waiting) + len(self._answering) >= _MAX_CONNECTIONS:
                 idlest = next(iter(self._waiting), request)
                 with suppress(OSError):  # the client closed it already
                     idlest.shutdown(socket.SHUT_RDWR)  # its thread ends

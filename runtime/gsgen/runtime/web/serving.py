@@ -29,7 +29,7 @@ _TYPES: Final = {
     ".wasm": "application/wasm",
 }
 
-TypedContent = tuple[str, bytes]
+ContentTypeAndBytes = tuple[str, bytes]
 """A content type and the bytes of a file."""
 
 
@@ -59,7 +59,7 @@ class ModelServer(LocalServer):
         self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
         addresses = {quote(address): path for address, path in self._models.items()}
         page = served_page(addresses, view).encode()
-        self._content_readers: dict[str, Callable[[], TypedContent]] = {
+        self._content_readers: dict[str, Callable[[], ContentTypeAndBytes]] = {
             "/": lambda: ("text/html; charset=utf-8", page),
             "/versions": lambda: ("application/json", json.dumps(self._versions()).encode()),
         }
@@ -72,7 +72,7 @@ class ModelServer(LocalServer):
         for address, path in self._models.items():
             self._content_readers[address] = partial(_model, path, read)
 
-    def content(self, path: str) -> TypedContent | None:
+    def content(self, path: str) -> ContentTypeAndBytes | None:
         """Return content type and bytes of the file at a URL path; None if no file is there."""
         make = self._content_readers.get(path)
         return None if make is None else make()
@@ -87,15 +87,15 @@ class ModelServer(LocalServer):
         return versions
 
 
-def _client_content(name: str) -> TypedContent:
+def _client_content(name: str) -> ContentTypeAndBytes:
     return _TYPES[Path(name).suffix], client_file(name)
 
 
-def _file(path: Path) -> TypedContent:
+def _file(path: Path) -> ContentTypeAndBytes:
     return _TYPES[path.suffix], path.read_bytes()
 
 
-def _model(path: Path, read: SplatReader) -> TypedContent:
+def _model(path: Path, read: SplatReader) -> ContentTypeAndBytes:
     return "application/octet-stream", model_bytes(path, read)
 
 

@@ -36,7 +36,7 @@ from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 BUILD_RECORD: Final = "gsgen.tiles.json"
 """Name of the file beside ``tileset.json`` that lists every file with its digest."""
 
-Corner = Float64[np.ndarray, " 3"]
+BoxCorner = Float64[np.ndarray, " 3"]
 
 
 @final
@@ -54,8 +54,8 @@ class ContentRecord:
 
     uri: str
     size: int
-    low: Corner
-    high: Corner
+    low: BoxCorner
+    high: BoxCorner
     utility: float = 0.0
 
 
@@ -84,8 +84,8 @@ class TileRecord:
 
     level: int
     coordinates: tuple[int, int, int]
-    low: Corner
-    high: Corner
+    low: BoxCorner
+    high: BoxCorner
     geometric_error: float
     cell: float = 0.0
     splats: int = 0
@@ -102,8 +102,8 @@ class _WrittenTile:
     """The JSON of a tile in ``tileset.json``, and the tile's bounding box."""
 
     document: JsonDict = field(repr=False)
-    low: Corner
-    high: Corner
+    low: BoxCorner
+    high: BoxCorner
 
 
 def morton(coordinates: tuple[int, int, int]) -> int:
@@ -225,7 +225,7 @@ def _properties(tile: TileRecord) -> JsonDict:
     return properties
 
 
-def box_numbers(low: Corner, high: Corner) -> list[float]:
+def box_numbers(low: BoxCorner, high: BoxCorner) -> list[float]:
     """Return an axis-aligned box as 3D Tiles encodes it: the centre, and three half axes."""
     half = np.diag((np.asarray(high) - low) / 2)
     return [float(value) for value in [*((np.asarray(high) + low) / 2), *half.ravel()]]

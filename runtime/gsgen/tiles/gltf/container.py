@@ -1,6 +1,6 @@
 """Opens the content of a tile: a .glb file, or a .gltf file with all buffers joined."""
 
-__all__ = ["MAX_CONTENT", "Fetch", "open_content", "raise_as_fault"]
+__all__ = ["MAX_CONTENT_BYTES", "Fetch", "open_content", "raise_as_fault"]
 
 import base64
 import binascii
@@ -15,7 +15,7 @@ from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, parse_object
 
-MAX_CONTENT: Final = 512 << 20
+MAX_CONTENT_BYTES: Final = 512 << 20
 """Most bytes of the file of one tile, and of all its buffers together."""
 _DATA_URI = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
 
@@ -48,11 +48,11 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
     starts, joined = [], bytearray()
     buffers = list(document.objects("buffers"))
     sizes = [buffer.whole("byteLength") for buffer in buffers]
-    if sum(sizes) > MAX_CONTENT:
+    if sum(sizes) > MAX_CONTENT_BYTES:
         raise TilesetInvalid(
             f"the glTF buffers have {sum(sizes):,} bytes",
             location=document.at("buffers"),
-            expected=f"{MAX_CONTENT:,} bytes or fewer",
+            expected=f"{MAX_CONTENT_BYTES:,} bytes or fewer",
             fault=Fault.CONTENT,
         )
     for buffer, size in zip(buffers, sizes, strict=True):

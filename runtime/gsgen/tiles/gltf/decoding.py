@@ -34,7 +34,7 @@ DRAFT_EXTENSIONS: Final = (
 """Extensions of drafts that hold SPZ."""
 DRAFT_ATTRIBUTES: Final = ("_ROTATION", "_SCALE")
 MAX_SPLATS: Final = 1 << 26
-MAX_DECODED: Final = 2 << 30
+MAX_DECODED_BYTES: Final = 2 << 30
 
 _SPZ_HEADER = struct.Struct("<4sIIBB")
 _SPZ_HEAD_BYTES = 512
@@ -182,7 +182,7 @@ def _spz_head(container: Container, extension_parent: JsonDict, where: str) -> t
 
 
 def decode_content(
-    container: Container, location: str, *, max_bytes: int = MAX_DECODED
+    container: Container, location: str, *, max_bytes: int = MAX_DECODED_BYTES
 ) -> list[tuple[Splats, Float64[np.ndarray, "4 4"]]]:
     """Decode the splats of a tile's content.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, read_header
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
@@ -150,11 +150,11 @@ def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | No
 
 def _from_header(store: Store, content: Content) -> _MeasuredFile:
     store = store.for_one_tile()
-    data = store.read(content.uri, limit=MAX_CONTENT)
+    data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
 
     def fetch(uri: str, location: str, size: int) -> bytes:
         path = resolve_uri(content.uri, uri, location)
-        return store.read(path, size=size, limit=MAX_CONTENT)
+        return store.read(path, size=size, limit=MAX_CONTENT_BYTES)
 
     container = open_content(data, content.uri, fetch)
     header: ContentHeader = read_header(container, content.uri, len(data))

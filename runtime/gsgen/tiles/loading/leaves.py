@@ -26,7 +26,7 @@ from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import decode_content
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
 from gsgen.tiles.loading.downloads import names_one_file, read_download
@@ -47,7 +47,7 @@ def read_tile_content(
         StoreUnavailable: It cannot be read now.
     """
     store = store.for_one_tile()
-    data = store.read(content.uri, limit=MAX_CONTENT)
+    data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
     return place_content(tileset, tile, content, open_tile_content(store, content, data))
 
 
@@ -56,7 +56,7 @@ def open_tile_content(store: Store, content: Content, data: bytes) -> Container:
 
     def fetch(uri: str, location: str, size: int) -> bytes:
         path = resolve_uri(content.uri, uri, location)
-        return store.read(path, size=size, limit=MAX_CONTENT)
+        return store.read(path, size=size, limit=MAX_CONTENT_BYTES)
 
     return open_content(data, content.uri, fetch)
 

@@ -8,7 +8,7 @@ from typing import Final, Protocol, final
 from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 
-_FILE_SECONDS: Final = 60.0
+_FILE_TIMEOUT_SECONDS: Final = 60.0
 _LOADING_FILES: Final = 5  # a tree of many files may take as long as so many slow ones
 
 
@@ -42,7 +42,7 @@ class LoadingTime:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._seconds = _LOADING_FILES * fetch_seconds(_FILE_SECONDS)
+        self._seconds = _LOADING_FILES * fetch_seconds(_FILE_TIMEOUT_SECONDS)
         self._deadline = Deadline(self._seconds)
 
     def require(self, progress: str) -> None:

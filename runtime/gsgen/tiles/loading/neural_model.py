@@ -11,7 +11,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.contract.errors import GsgenError, HostFailed
+from gsgen.contract.errors import GsgenError, HostProcessFailed
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import parse
@@ -112,11 +112,11 @@ def check_neural_model(
         limits: Of the runs that check the model; None for those of the validator.
 
     Raises:
-        HostFailed: This machine, not the model, ended a run.
+        HostProcessFailed: This machine, not the model, ended a run.
     """
     try:
         manifest, report = require_generator(path, limits)
-    except HostFailed:
+    except HostProcessFailed:
         raise
     except TilesetInvalid as error:
         yield Violation.at(location, f"{neural.uri} {error.actual}", error.expected)

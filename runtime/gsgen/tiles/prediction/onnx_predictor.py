@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.contract._safe_text import for_shell
-from gsgen.contract.errors import GsgenError, HostFailed, InputUnreadable
+from gsgen.contract.errors import GsgenError, HostProcessFailed, InputUnreadable
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.fields.roles import STATE_SIZES
 from gsgen.contract.spec.manifest import TrajectoryManifest
@@ -80,7 +80,7 @@ class TrajectoryModel:
             )
         try:
             session = FrameSession(path, provider="cpu", threads=1, confined=confined or False)
-        except HostFailed:
+        except HostProcessFailed:
             raise
         except GsgenError as error:
             message = f"cannot be loaded: {error.message}"
@@ -100,7 +100,7 @@ class TrajectoryModel:
         try:
             self._session.write({self._input: history})
             future = self._session.run()[self._output]
-        except HostFailed:
+        except HostProcessFailed:
             raise
         except GsgenError as error:
             raise InputUnreadable(f"the model fails: {error.message}", where=self.name) from error

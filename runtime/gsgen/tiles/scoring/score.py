@@ -3,7 +3,7 @@
 __all__ = [
     "CAMERA_DISTANCES",
     "FIELD_OF_VIEW",
-    "NEAR_SHARE",
+    "NEAR_TILE_SHARE",
     "LevelScore",
     "TilesetScore",
     "cameras_around",
@@ -46,7 +46,7 @@ CAMERA_DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 
 FIELD_OF_VIEW: Final = 50.0
 """Vertical field of view of the cameras around a scene or a tile, in degrees."""
-NEAR_SHARE: Final = 100
+NEAR_TILE_SHARE: Final = 100
 """Radii of a scene or a tile over the distance of the near plane."""
 
 _AZIMUTH_DEGREES = (20.0, 140.0, 260.0)
@@ -203,7 +203,7 @@ def _cameras(
     radius = max(float(np.quantile(distances, _INNER_FRACTION)), 1e-6)
     return {
         name: cameras_around(
-            center, distance * radius, up, size=(width, height), near=radius / NEAR_SHARE
+            center, distance * radius, up, size=(width, height), near=radius / NEAR_TILE_SHARE
         )
         for name, distance in CAMERA_DISTANCES.items()
     }

@@ -1,6 +1,6 @@
 """Selects the tiles that a camera sees and needs, by their screen-space error."""
 
-__all__ = ["Cut", "cut_tree"]
+__all__ = ["TileCut", "cut_tree"]
 
 from dataclasses import dataclass
 from typing import final
@@ -14,7 +14,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Cut:
+class TileCut:
     """The tiles that a camera sees, and the tiles to draw at the allowed pixel error.
 
     Attributes:
@@ -30,7 +30,7 @@ class Cut:
 
 def cut_tree(
     tree: TileTree, frustum: Frustum, max_error: float, *, max_level: int | None = None
-) -> Cut:
+) -> TileCut:
     """Return the tiles that a frustum sees, refined where the screen-space error is too large.
 
     Args:
@@ -48,4 +48,4 @@ def cut_tree(
     for rows in tree.rows_of_level[1:]:
         parent_rows = tree.parent[rows]
         seen[rows] &= seen[parent_rows] & is_refined[parent_rows]
-    return Cut(seen=seen, selected=seen & ~is_refined, error=error)
+    return TileCut(seen=seen, selected=seen & ~is_refined, error=error)

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.loading.quality_ladder import QualityLadder
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.tile_tree import TileTree
 
 
-def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
+def request_order(tree: TileTree, cut: TileCut) -> Int64[np.ndarray, " m"]:
     """Return all seen tiles by level, then by falling screen-space error, then by index."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from gsgen.tiles.errors import StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
-from gsgen.tiles.gltf.container import MAX_CONTENT
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES
 from gsgen.tiles.loading.limits import LoadingTime
 from gsgen.tiles.stores.store import Store
 
@@ -116,7 +116,7 @@ class TileTree:
         return parent_indices
 
 
-_MOST = 1 << 48  # sums of counts stay within 64 bits
+_MAX_SPLAT_TOTAL = 1 << 48  # sums of counts stay within 64 bits
 _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
 
 
@@ -151,7 +151,7 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
     elif store is not None:
         sizes = [store.size(content.uri) for content in tile.contents]
         size = (
-            sum(sizes) if max(sizes) <= MAX_CONTENT else 0
+            sum(sizes) if max(sizes) <= MAX_CONTENT_BYTES else 0
         )  # reading it says that it is too large
     if _is_counted(tile):
         return size, int(tile.metadata["splats"])
@@ -165,7 +165,7 @@ def _is_counted(tile: Tile) -> bool:
 
 def _is_count(value: object) -> bool:
     """Return whether metadata is a number of splats or bytes; it may be anything."""
-    return isinstance(value, int | np.integer) and 0 <= int(value) <= _MOST
+    return isinstance(value, int | np.integer) and 0 <= int(value) <= _MAX_SPLAT_TOTAL
 
 
 def _root_box(tile: Tile, tileset: Tileset) -> Box:

@@ -1,6 +1,6 @@
 """A simulated network: a rate that varies over time, shared by a few connections."""
 
-__all__ = ["Delivery", "RateTrace", "SimulatedLink", "VirtualClock"]
+__all__ = ["ByteDelivery", "RateTrace", "SimulatedLink", "VirtualClock"]
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float64, Int64
 
-_DONE_BYTES = 1e-6  # of a byte
+_TRANSFER_EPSILON_BYTES = 1e-6  # of a byte
 
 
 @final
@@ -52,7 +52,7 @@ class RateTrace:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Delivery:
+class ByteDelivery:
     """A tile that a simulated network link has delivered completely."""
 
     tile: int
@@ -115,7 +115,7 @@ class SimulatedLink:
     def _transfer(self, tile: int) -> _PendingTransfer:
         return next(entry for entry in self._transfers if entry.tile == tile)
 
-    def advance(self, end_time: float) -> Delivery | None:
+    def advance(self, end_time: float) -> ByteDelivery | None:
         """Advance the simulated clock to the next delivery of a tile, or to a given time.
 
         Returns:
@@ -125,10 +125,12 @@ class SimulatedLink:
             now = self._clock.now()
             # 1. Deliver a transfer that is complete.
             active = [entry for entry in self._transfers if entry.start <= now]
-            completed_transfers = [entry for entry in active if entry.remaining <= _DONE_BYTES]
+            completed_transfers = [
+                entry for entry in active if entry.remaining <= _TRANSFER_EPSILON_BYTES
+            ]
             if completed_transfers:
                 self._transfers.remove(completed_transfers[0])
-                return Delivery(completed_transfers[0].tile, now)
+                return ByteDelivery(completed_transfers[0].tile, now)
             if now >= end_time:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing
+from gsgen.tiles.stores.store import MAX_STORE_FILE_BYTES, Store, check_range, missing
 
 
 @final
@@ -24,7 +24,12 @@ class FolderStore(Store):
         return self._open_check(path)[1]
 
     def read(
-        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+        self,
+        path: str,
+        *,
+        start: int = 0,
+        size: int | None = None,
+        limit: int = MAX_STORE_FILE_BYTES,
     ) -> bytes:
         """Read bytes of a file in the folder, see :class:`~gsgen.tiles.stores.store.Store`."""
         file, whole = self._open_check(path)

@@ -11,13 +11,13 @@ from urllib.parse import quote, urlsplit
 from gsgen.contract.fetching.client import WebClient
 from gsgen.contract.fetching.deadline import Deadline
 from gsgen.contract.fetching.errors import (
-    AddressRefused,
+    AddressNotAllowed,
     FetchFailed,
     FileMissing,
     ServerUnavailable,
 )
 from gsgen.tiles.errors import ContentMissing, Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, Store
+from gsgen.tiles.stores.store import MAX_STORE_FILE_BYTES, Store
 
 
 @final
@@ -50,7 +50,12 @@ class HttpStore(Store):
             return self._client.size(self._address(path))
 
     def read(
-        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+        self,
+        path: str,
+        *,
+        start: int = 0,
+        size: int | None = None,
+        limit: int = MAX_STORE_FILE_BYTES,
     ) -> bytes:
         """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
@@ -65,7 +70,7 @@ class HttpStore(Store):
             )
 
     def read_whole(
-        self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_FILE
+        self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_STORE_FILE_BYTES
     ) -> bytes:
         """Read a whole file from the web server, and report the progress.
 
@@ -85,7 +90,7 @@ class HttpStore(Store):
                 self._address(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
             )
 
-    def save(self, path: str, into: BinaryIO, limit: int = MAX_FILE) -> None:
+    def save(self, path: str, into: BinaryIO, limit: int = MAX_STORE_FILE_BYTES) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
         with _faults_at(self._location(path)):
             self._client.copy(self._address(path), into, max_bytes=limit, deadline=self._deadline)
@@ -125,5 +130,5 @@ def _faults_at(location: str) -> Iterator[None]:
             kind = ContentMissing
         elif isinstance(error, ServerUnavailable):
             kind = StoreUnavailable
-        fault = Fault.URI if isinstance(error, AddressRefused) else Fault.CONTENT
+        fault = Fault.URI if isinstance(error, AddressNotAllowed) else Fault.CONTENT
         raise kind(error.message, location=location, hint=error.hint, fault=fault) from error

@@ -1,13 +1,13 @@
 """The base class of file stores, which read a tileset's files by path within size limits."""
 
-__all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
+__all__ = ["MAX_STORE_FILE_BYTES", "Store", "check_range", "missing", "too_large"]
 
 from abc import ABC, abstractmethod
 from typing import Final, Self
 
 from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
 
-MAX_FILE: Final = 1 << 30
+MAX_STORE_FILE_BYTES: Final = 1 << 30
 """The most bytes that are read of one file, unless the caller sets a lower limit."""
 
 
@@ -31,7 +31,12 @@ class Store(ABC):
 
     @abstractmethod
     def read(
-        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+        self,
+        path: str,
+        *,
+        start: int = 0,
+        size: int | None = None,
+        limit: int = MAX_STORE_FILE_BYTES,
     ) -> bytes:
         """Return the bytes of a file of a tileset, or a range of the bytes.
 

@@ -18,7 +18,7 @@ from typing import BinaryIO, Final, cast, final
 from gsgen.formats.shared.files import replace_file
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.stores.ranged_file import RangedFile
-from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
+from gsgen.tiles.stores.store import MAX_STORE_FILE_BYTES, Store, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
 _INDEX_RECORD = struct.Struct("<16sQ")
@@ -98,7 +98,12 @@ class ZipStore(Store):
         return self._member_info(path).file_size
 
     def read(
-        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+        self,
+        path: str,
+        *,
+        start: int = 0,
+        size: int | None = None,
+        limit: int = MAX_STORE_FILE_BYTES,
     ) -> bytes:
         """Read bytes of an archive member, see :class:`~gsgen.tiles.stores.store.Store`."""
         member = self._member_info(path)

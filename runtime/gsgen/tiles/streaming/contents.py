@@ -16,7 +16,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import ContentMissing, Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.format.neural_tile import NeuralTile
 from gsgen.tiles.format.tileset import Tile, Tileset
-from gsgen.tiles.gltf.container import MAX_CONTENT
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES
 from gsgen.tiles.gltf.placement import join_placed
 from gsgen.tiles.loading.leaves import open_tile_content, place_content
 from gsgen.tiles.loading.neural_model import MAX_MODEL
@@ -101,7 +101,7 @@ class ContentReader:
         store: Store,
         uri: str,
         on_bytes: Callable[[int], None],
-        limit: int = MAX_CONTENT,
+        limit: int = MAX_CONTENT_BYTES,
         digest: str | None = None,
     ) -> bytes:
         """Read a file of the tileset; files of web servers come from the disk cache if cached."""

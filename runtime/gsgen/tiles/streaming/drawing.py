@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
@@ -16,7 +16,7 @@ _MAX_STEP_SECONDS: Final = 1 / 15
 
 
 def drawable_tiles(
-    tree: TileTree, cut: Cut, resident: Bool[np.ndarray, " n"]
+    tree: TileTree, cut: TileCut, resident: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """Return the loaded tiles to draw in place of the wanted tiles, so that no hole appears.
 

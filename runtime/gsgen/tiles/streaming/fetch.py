@@ -18,19 +18,19 @@ from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.streaming.planner import Link
 from gsgen.tiles.streaming.session_frame import TileArrival
 
-Fetched = TypeVar("Fetched")
-Decoded = TypeVar("Decoded")
+FetchedType = TypeVar("FetchedType")
+DecodedType = TypeVar("DecodedType")
 RETRY_AFTER: Final = 30.0
 """Seconds after which a file that could not be had for now is requested again, at first."""
 _MOST_AWAITED_FAILURES: Final = 3  # of a tile for which a picture still waits
 _DECODER_THREADS = 2  # threads that decode at once: more would take frames their time
 
-OnBytes = Callable[[int], None]
+ByteProgressCallback = Callable[[int], None]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class FetchResult(Generic[Decoded]):
+class FetchResult(Generic[DecodedType]):
     """The result of a tile request: the decoded content, or the error that prevented it.
 
     Attributes:
@@ -40,7 +40,7 @@ class FetchResult(Generic[Decoded]):
     """
 
     tile: int
-    content: Decoded | None
+    content: DecodedType | None
     error: GsgenError | None
 
 
@@ -61,7 +61,7 @@ class _Request:
 
 
 @final
-class FetchLink(Generic[Fetched, Decoded]):
+class FetchLink(Generic[FetchedType, DecodedType]):
     """Fetches tiles, each request on a thread of its own that ends with the process.
 
     A connection is free again as soon as its bytes are there, while they are decoded, or as soon
@@ -76,8 +76,8 @@ class FetchLink(Generic[Fetched, Decoded]):
 
     def __init__(
         self,
-        fetch: Callable[[int, OnBytes], Fetched],
-        decode: Callable[[int, Fetched], Decoded],
+        fetch: Callable[[int, ByteProgressCallback], FetchedType],
+        decode: Callable[[int, FetchedType], DecodedType],
         size: Callable[[int], int],
         connections: int,
     ) -> None:
@@ -88,7 +88,7 @@ class FetchLink(Generic[Fetched, Decoded]):
         self._queue: deque[int] = deque()
         self._started: list[int] = []
         self._lock = Lock()
-        self._results: SimpleQueue[FetchResult[Decoded]] = SimpleQueue()
+        self._results: SimpleQueue[FetchResult[DecodedType]] = SimpleQueue()
         self._result_event = Event()
         self._crash: Exception | None = None
 
@@ -134,7 +134,7 @@ class FetchLink(Generic[Fetched, Decoded]):
             request.is_cancelled = True
             return request.received
 
-    def poll(self) -> list[FetchResult[Decoded]]:
+    def poll(self) -> list[FetchResult[DecodedType]]:
         """Return the tiles that arrived or failed since the last call.
 
         Raises:
@@ -185,7 +185,7 @@ class FetchLink(Generic[Fetched, Decoded]):
                 self._begin(tile)
             return True
 
-    def _decode_and_answer(self, tile: int, data: Fetched) -> None:
+    def _decode_and_answer(self, tile: int, data: FetchedType) -> None:
         try:
             content = self._decode(tile, data)
         except Exception as error:
@@ -201,7 +201,7 @@ class FetchLink(Generic[Fetched, Decoded]):
             self._crash = error
             self._result_event.set()
 
-    def _answer(self, result: FetchResult[Decoded]) -> None:
+    def _answer(self, result: FetchResult[DecodedType]) -> None:
         self._results.put(result)
         self._result_event.set()
 

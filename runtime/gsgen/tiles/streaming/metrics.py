@@ -9,9 +9,9 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Int64
 
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 
-GOOD_SHARE: Final = 0.9
+GOOD_QUALITY_SHARE: Final = 0.9
 """Share of the wanted tiles that makes a frame good."""
 
 
@@ -92,7 +92,7 @@ class MetricsRecorder:
         self.bytes += received
         self._wasted_bytes += received
 
-    def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+    def frame(self, time: float, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Record the tiles that a frame needs, and the tiles that are loaded."""
         self._time = time
         self._start = time if self._start is None else self._start
@@ -106,7 +106,7 @@ class MetricsRecorder:
             self._waiting.setdefault(tile, []).append(time)
         self._frames += 1
         count, loaded_count = int(cut.selected.sum()), int((cut.selected & loaded).sum())
-        if loaded_count >= GOOD_SHARE * count:
+        if loaded_count >= GOOD_QUALITY_SHARE * count:
             self._good_frames += 1
             if math.isnan(self._first_good_time):
                 self._first_good_time = time - self._start

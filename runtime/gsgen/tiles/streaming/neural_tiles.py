@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
-from gsgen.contract.errors import GsgenError, HostFailed
+from gsgen.contract.errors import GsgenError, HostProcessFailed
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.runtime.scene.camera import Camera
@@ -328,7 +328,7 @@ class NeuralTiles:
     def _fail(self, tile: int, error: GsgenError, time: float) -> None:
         """Draw a tile's stored splats if its ONNX generator has failed, and report the reason."""
         self._release(tile)
-        is_transient = isinstance(error, StoreUnavailable | HostFailed)
+        is_transient = isinstance(error, StoreUnavailable | HostProcessFailed)
         self._retry_at[tile] = time + RETRY_AFTER if is_transient else np.inf
         message = str(error).replace("\n", " ")
         uri = self._neural[tile].uri

@@ -10,12 +10,12 @@ from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, PathPrefetch, Prefetch
-from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.metrics import MetricsRecorder
 
-CANCEL_BELOW: Final = 0.5
+CANCEL_PRIORITY_FRACTION: Final = 0.5
 """A request is cancelled only below this share of its bytes."""
 
 _RequestPurpose = Literal["needed", "prefetched", "finer"]
@@ -83,7 +83,7 @@ class RequestPlanner:
         """The tiles that were requested and have not arrived."""
         return frozenset(self._in_flight)
 
-    def frame(self, pose: Pose, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+    def frame(self, pose: Pose, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Set the tiles that a new frame needs, and cancel prefetches that delay these tiles.
 
         Args:
@@ -100,7 +100,7 @@ class RequestPlanner:
                 self._in_flight[tile] = "needed"
         if self.missing(loaded):
             for tile in self._requested("prefetched", "finer"):
-                if self._link.progress(tile) < CANCEL_BELOW:
+                if self._link.progress(tile) < CANCEL_PRIORITY_FRACTION:
                     self._recorder.cancel(self._link.cancel(tile))
                     del self._in_flight[tile]
 

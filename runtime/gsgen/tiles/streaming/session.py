@@ -21,7 +21,7 @@ from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.prediction.predictors import predictor_maker
 from gsgen.tiles.prediction.prefetch import HorizonPrefetch
-from gsgen.tiles.selection.cut import Cut, cut_tree
+from gsgen.tiles.selection.cut import TileCut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -368,10 +368,10 @@ class TilesetSession:
             self._report(self._failed.add(result.tile, result.error, time))
         return results
 
-    def _fitting_cut(self, frustum: Frustum) -> Cut:
+    def _fitting_cut(self, frustum: Frustum) -> TileCut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
 
-        def fits(cut: Cut) -> bool:
+        def fits(cut: TileCut) -> bool:
             return int(self._slots[cut.seen].sum()) <= self.pool_slots
 
         error = self._options.max_error
@@ -387,7 +387,7 @@ class TilesetSession:
                 break
         return cut
 
-    def _upload(self, time: float, cut: Cut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
+    def _upload(self, time: float, cut: TileCut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
         """Upload decoded tiles within a frame's budget: visible tiles first, coarse before fine."""
         level, error, seen = self.tree.level, cut.error, cut.seen
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
@@ -446,7 +446,7 @@ class TilesetSession:
             self._qualities.gpu_quality[tile] = arrival.quality
         return victims
 
-    def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+    def _request(self, time: float, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Request the tiles that the current frame needs."""
         assert self._frustum is not None
         loaded = loaded.copy()
@@ -478,7 +478,7 @@ class TilesetSession:
             )
         ]
 
-    def _finer_files(self, time: float, cut: Cut) -> list[int]:
+    def _finer_files(self, time: float, cut: TileCut) -> list[int]:
         """Return the drawn tiles whose finest file is to be requested, in order of request."""
         if self._qualities is None:
             return []

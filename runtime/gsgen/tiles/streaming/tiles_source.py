@@ -18,8 +18,8 @@ from gsgen.contract.spec.units import format_mebibytes
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
-from gsgen.runtime.sources.source import Shortfall, Source, Values
+from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
+from gsgen.runtime.sources.source import Source, SourceShortfall, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
@@ -72,8 +72,8 @@ class TilesSource(Source):
         channels = 3 * coefficients(session.sh_degree)
         rows = session.pool_slots * session.slot_rows
         self._pool = SplatPool(rows, channels, slot_rows=session.slot_rows)
-        self.pools = (PooledSet(self._pool),)
-        empty = np.zeros((0, layout.ROW), np.float32), np.zeros((0, channels), np.float32)
+        self.pools = (PooledSplatSet(self._pool),)
+        empty = np.zeros((0, layout.ROW_LENGTH), np.float32), np.zeros((0, channels), np.float32)
         self.data = SplatData(*empty, "sh")
         self._camera: Camera | None = None
         self._last: SessionFrame | None = None
@@ -114,11 +114,11 @@ class TilesSource(Source):
             self._late = self._late or f"{pending_tiles} generators did not finish {seconds}"
 
     @property
-    def shortfall(self) -> Shortfall | None:
+    def shortfall(self) -> SourceShortfall | None:
         """The tiles that the frames so far lack, of those that they waited for."""
         cause = self._session.first_failure if self._absent else ""
         cause = cause or self._late
-        return Shortfall(self.name, len(self._absent), cause) if cause else None
+        return SourceShortfall(self.name, len(self._absent), cause) if cause else None
 
     def _take(self, frustum: Frustum, camera: Camera) -> SessionFrame:
         """Upload and evict tiles in GPU memory (splat pool), as the streaming session decides."""

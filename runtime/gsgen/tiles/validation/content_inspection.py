@@ -26,7 +26,7 @@ from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import Volume
-from gsgen.tiles.gltf.container import MAX_CONTENT, open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, decode_content, read_header
 from gsgen.tiles.gltf.placement import place
 from gsgen.tiles.loading.build_record import read_build_record
@@ -187,7 +187,7 @@ class _ContentReader:
         record = self._inspected.record
         try:
             store = self._inspected.store.for_one_tile()
-            data = store.read(content.uri, limit=MAX_CONTENT)
+            data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
             if record is not None and content.uri in record.files:
                 result.sha256 = hashlib.sha256(data).hexdigest()
             container = open_content(data, content.uri, self._fetch(store, content.uri))
@@ -201,7 +201,7 @@ class _ContentReader:
     def _fetch(self, store: Store, base: str) -> Callable[[str, str, int], bytes]:
         def fetch(uri: str, location: str, size: int) -> bytes:
             path = resolve_uri(base, uri, location)
-            return store.read(path, size=size, limit=MAX_CONTENT)
+            return store.read(path, size=size, limit=MAX_CONTENT_BYTES)
 
         return fetch
 

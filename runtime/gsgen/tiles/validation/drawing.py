@@ -23,13 +23,13 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.loading.leaves import read_tile_content
-from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_SHARE, cameras_around, level_cut
+from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_TILE_SHARE, cameras_around, level_cut
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.store import Store
 
 TILE_VISIBLE_RULE: Final = "GT021"
 LEVELS_AGREE_RULE: Final = "GT022"
-MAX_DRAWN: Final = 1_000_000
+MAX_DRAWN_SPLATS: Final = 1_000_000
 """Tiles with more splats are not drawn: the time and the memory of a validation are bounded."""
 REFINEMENT_PIXELS: Final = 16.0
 """Pixels of geometric error at which viewers change from a tile to its children."""
@@ -198,12 +198,12 @@ class _TileRenderer:
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
         """Return whether tiles have too many splats to draw; if so, note that a rule is skipped."""
         count = max(map(self.count, cuts))
-        if count > MAX_DRAWN:
+        if count > MAX_DRAWN_SPLATS:
             tile = cuts[0][0][0]
             self.skipped[rule] = (
-                f"{tile.location}: {count:,} splats, and {MAX_DRAWN:,} are drawn at most"
+                f"{tile.location}: {count:,} splats, and {MAX_DRAWN_SPLATS:,} are drawn at most"
             )
-        return count > MAX_DRAWN
+        return count > MAX_DRAWN_SPLATS
 
     def _read(self, cut: list[tuple[Tile, Content]]) -> list[PlacedSplats]:
         return [
@@ -282,7 +282,7 @@ class _View:
             distance * self.radius,
             self.up,
             size=(self.size, self.size),
-            near=self.radius / NEAR_SHARE,
+            near=self.radius / NEAR_TILE_SHARE,
         )
 
 

@@ -25,7 +25,7 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.checkpoints.methods import unsupported_content_error
 from gsgen.formats.checkpoints.pickled_data import TensorReference
 from gsgen.formats.checkpoints.torch_archive import TorchArchive
@@ -64,7 +64,7 @@ def read_checkpoint(path: FilePath) -> Splats:
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not an archive of torch.save.
+        FormatNotRecognised: The file is not an archive of torch.save.
         NotSupported: The file holds something else than plain splats; the message says what.
         ArchiveDamaged: The archive, or a tensor in it, cannot be unpacked.
         PropertyMissing: The file lacks tensors of splats.
@@ -72,7 +72,7 @@ def read_checkpoint(path: FilePath) -> Splats:
         ValueInvalid: A tensor has a wrong shape or type, or a value that cannot be drawn.
     """
     with open_file(path) as file:
-        head = file.read(HEAD_BYTES)
+        head = file.read(RECOGNITION_BYTES)
         if not head.startswith(ZIP_MAGIC):
             expected = "50 4b 03 04, the start of a checkpoint of torch 1.6 or later"
             raise not_recognised(head, expected, head[:4].hex(" "))

@@ -16,7 +16,7 @@ from gsgen.formats.shared.npz_arrays import unpacking
 PICKLE_MEMBER: Final = "*/data.pkl"
 """The member of the archive that names the tensors; its folder has the name of the file."""
 
-_MAX_READS = 64
+_MAX_READS_PER_BYTE = 64
 """How often the bytes of the file may be read, because tensors take turns in several storages."""
 
 _MAX_PICKLE = 16 << 20
@@ -84,11 +84,11 @@ class TorchArchive:
         if key != self._storage_key:
             content = self._member(f"data/{key}")
             self._byte_count += len(content)
-            if self._byte_count > _MAX_READS * self._file_size:
+            if self._byte_count > _MAX_READS_PER_BYTE * self._file_size:
                 raise SizeExceeded(
                     f"the tensors take turns in storages, of which {self._byte_count} bytes were read",
                     where=f"data/{key}",
-                    expected=f"{_MAX_READS} times the file or fewer",
+                    expected=f"{_MAX_READS_PER_BYTE} times the file or fewer",
                 )
             self._storage_key, self._storage = key, content
         return self._storage

@@ -62,7 +62,7 @@ def parse(data: Data) -> Container:
     """Parse the GLB file ``data`` into its JSON document and binary chunk.
 
     Raises:
-        NotRecognised: The data are not a GLB file.
+        FormatNotRecognised: The data are not a GLB file.
         NotSupported: The version is not 2.
         FileTruncated: The file ends early.
         HeaderMalformed: A chunk has an unknown type, or its JSON is invalid.

@@ -49,7 +49,7 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not a GLB file.
+        FormatNotRecognised: The file is not a GLB file.
         NotSupported: The file has another version, or needs other files.
         HeaderMalformed: The JSON breaks the rules of glTF or of the extension.
         PropertyMissing: The scene has no splats, or splats lack an attribute.

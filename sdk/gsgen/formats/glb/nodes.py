@@ -25,7 +25,7 @@ from gsgen.formats.shared.splats import Splats
 
 Matrix = Float64[np.ndarray, "4 4"]
 
-_IDENTITY = tuple(np.eye(4).flatten().tolist())
+_IDENTITY_TRANSFORM = tuple(np.eye(4).flatten().tolist())
 _MAX_DEPTH = 200
 
 
@@ -71,7 +71,7 @@ def _roots(glb: Container) -> list[int]:
 
 def _local_matrix(node: Json, where: str) -> Matrix:
     if "matrix" in node:
-        matrix = np.array(number_member(node, "matrix", _IDENTITY, where)).reshape(4, 4).T
+        matrix = np.array(number_member(node, "matrix", _IDENTITY_TRANSFORM, where)).reshape(4, 4).T
     else:
         x, y, z, w = number_member(node, "rotation", (0.0, 0.0, 0.0, 1.0), where)
         scale = number_member(node, "scale", (1.0, 1.0, 1.0), where)

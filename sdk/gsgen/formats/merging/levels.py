@@ -13,7 +13,7 @@ from gsgen.formats.merging.moments import merge_clusters
 from gsgen.formats.merging.morton import DEPTH, cell_codes, separation_depths
 from gsgen.formats.shared.splats import SH_COUNTS
 
-REDUCTION: Final = 4
+LEVEL_REDUCTION: Final = 4
 """How many splats of the finer level one splat of a level replaces, on average."""
 
 BAND_ENERGY: Final = 0.01
@@ -64,7 +64,7 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
         depth: Of the tile.
         most: Splats to aim at, at most.
     """
-    target = max(1.0, min(len(mixture) / REDUCTION, most))
+    target = max(1.0, min(len(mixture) / LEVEL_REDUCTION, most))
     mass = mixture.mass
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
     cell_depth, starts = choose_cells(mixture.code, depth, target)

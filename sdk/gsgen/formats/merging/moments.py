@@ -20,7 +20,13 @@ fills them where they come from, between the members; f = 1.1 does the rest. Bot
 ``tests/bench/tiles/bench_tiles.py`` measures the gain.
 """
 
-__all__ = ["MAX_OPACITY", "MAX_SPREAD_SIGMAS", "WIDENING_FACTOR", "ellipsoids", "merge_clusters"]
+__all__ = [
+    "COVARIANCE_WIDENING_FACTOR",
+    "MAX_OPACITY",
+    "MAX_SPREAD_SIGMAS",
+    "ellipsoids",
+    "merge_clusters",
+]
 
 from typing import Final
 
@@ -35,7 +41,7 @@ from gsgen.formats.shared.quantities import rotations
 MAX_OPACITY: Final = 0.999
 MAX_SPREAD_SIGMAS: Final = 2.0
 """κ: how much wider than its members' centres a merged Gaussian is, in variance."""
-WIDENING_FACTOR: Final = 1.1
+COVARIANCE_WIDENING_FACTOR: Final = 1.1
 """f: how much wider a merged Gaussian is at last, in standard deviations."""
 _ROUNDED_DIGITS: Final = 6  # eigenvectors are rounded: their last bits differ between machines
 
@@ -45,7 +51,7 @@ def merge_clusters(
     starts: Int64[np.ndarray, " m"],
     *,
     spread: float = MAX_SPREAD_SIGMAS,
-    widen: float = WIDENING_FACTOR,
+    widen: float = COVARIANCE_WIDENING_FACTOR,
 ) -> Mixture:
     """Merge the Gaussians of each cluster, which are consecutive, into one by moment matching.
 

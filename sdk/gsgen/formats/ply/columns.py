@@ -10,7 +10,7 @@ from gsgen.formats.ply.ascii import ascii_rows
 from gsgen.formats.ply.binary import binary_rows, first_row
 from gsgen.formats.ply.header import Element, Header
 
-_RELEASED_ROWS = 1 << 18
+_ROWS_PER_RELEASE = 1 << 18
 CHUNK_ROWS = 1 << 10
 """Rows a chunk; they fit in a processor's cache while each group copies its columns."""
 
@@ -59,6 +59,6 @@ def _floats(
             # All columns exist: the mode only saves np.take a copy.
             np.take(rows[part], columns[group], axis=1, out=table[part], mode="clip")
         # Pages that were read need not stay in memory; Windows drops them by itself.
-        if start % _RELEASED_ROWS == 0 and hasattr(mmap, "MADV_DONTNEED"):
+        if start % _ROWS_PER_RELEASE == 0 and hasattr(mmap, "MADV_DONTNEED"):
             data.madvise(mmap.MADV_DONTNEED)
     return tables

@@ -119,7 +119,7 @@ def parse_header(data: mmap.mmap) -> Header:
     """Parse the PLY header at the start of ``data``.
 
     Raises:
-        NotRecognised: The data does not begin with ``ply`` on a line of its own.
+        FormatNotRecognised: The data does not begin with ``ply`` on a line of its own.
         FileTruncated: The data ends inside the header.
         HeaderMalformed: A line breaks the rules of the format.
     """

@@ -31,7 +31,7 @@ from gsgen.formats.shared.values import require_rows
 
 __all__ = ["Encoding", "read_ply", "write_ply"]
 
-_DROP_HINT = "`gsgen convert --drop-invalid` writes a file without such rows"
+_DROP_INVALID_HINT = "`gsgen convert --drop-invalid` writes a file without such rows"
 
 
 def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud:
@@ -51,7 +51,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not a PLY file.
+        FormatNotRecognised: The file is not a PLY file.
         NotSupported: The file is a variant of PLY that gsgen does not read.
         HeaderMalformed: The header breaks the rules of the format.
         BodyMalformed: A row of text, or a list before the vertices, breaks them.
@@ -71,7 +71,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
         try:
             content = read(data, header, vertex, path if drop_invalid else None)
         except ValueInvalid as error:
-            error.hint = error.hint or ("" if drop_invalid else _DROP_HINT)
+            error.hint = error.hint or ("" if drop_invalid else _DROP_INVALID_HINT)
             raise
         if isinstance(content, Splats):
             warn_of_unknown_properties(

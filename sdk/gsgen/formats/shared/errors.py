@@ -7,8 +7,8 @@ __all__ = [
     "FileUnreadable",
     "FileUnwritable",
     "FormatError",
+    "FormatNotRecognised",
     "HeaderMalformed",
-    "NotRecognised",
     "NotSupported",
     "PropertyMissing",
     "SizeExceeded",
@@ -79,7 +79,7 @@ class FileTruncated(FormatError):
 
 
 @final
-class NotRecognised(FormatError):
+class FormatNotRecognised(FormatError):
     """Raised if a file is not of the expected splat format, or of no known format."""
 
 

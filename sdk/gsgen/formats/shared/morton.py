@@ -6,7 +6,7 @@ from jaxtyping import Float32, Int64, Integer, UInt64
 _AXIS_BITS = 10
 _CHUNK_ROWS = 1 << 18
 _MAX_CELL = (1 << _AXIS_BITS) - 1
-_SPREAD_STEPS = (
+_BIT_SPREAD_STEPS = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),
     (8, 0x100F00F00F00F00F),
@@ -59,6 +59,6 @@ def interleave_bits(
 
 def _spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     """Insert two zero bits between the bits of each number of 21 bits."""
-    for shift, mask in _SPREAD_STEPS:
+    for shift, mask in _BIT_SPREAD_STEPS:
         number = (number | (number << np.uint64(shift))) & np.uint64(mask)
     return number

@@ -2,12 +2,12 @@
 
 __all__ = ["not_recognised"]
 
-from gsgen.contract.file_kinds.recognition import HEAD_BYTES, kind_of
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
 from gsgen.formats.shared.bytes import Data
-from gsgen.formats.shared.errors import NotRecognised
+from gsgen.formats.shared.errors import FormatNotRecognised
 
 
-def not_recognised(data: Data, expected: str, shown: str) -> NotRecognised:
+def not_recognised(data: Data, expected: str, shown: str) -> FormatNotRecognised:
     """Return the error about a file whose content is not that of the format that is read.
 
     Args:
@@ -15,7 +15,7 @@ def not_recognised(data: Data, expected: str, shown: str) -> NotRecognised:
         expected: The expected content.
         shown: The first bytes, for content of no known kind.
     """
-    kind = kind_of(bytes(data[:HEAD_BYTES]))
+    kind = kind_of(bytes(data[:RECOGNITION_BYTES]))
     if kind is None:
-        return NotRecognised(shown, where="first bytes", expected=expected)
-    return NotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)
+        return FormatNotRecognised(shown, where="first bytes", expected=expected)
+    return FormatNotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)

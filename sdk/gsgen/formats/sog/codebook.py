@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32, Float64, UInt8
 from gsgen.formats.sog.meta import CODEBOOK_SIZE
 
 _KNOT_COUNT: Final = 4096
-_MAX_ROUNDS: Final = 300
+_MAX_LLOYD_ITERATIONS: Final = 300
 _MAX_SAMPLES: Final = 1 << 22
 
 
@@ -39,7 +39,7 @@ def make_codebook(
         )
     total, moment = (np.append(0, np.cumsum(terms)) for terms in (weight, weight * ascending))
     codebook = _initial_codebook(ascending)
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(_MAX_LLOYD_ITERATIONS):
         inner_edges = np.searchsorted(ascending, (codebook[1:] + codebook[:-1]) / 2)
         edges = np.concatenate([[0], inner_edges, [len(ascending)]])
         cell_weight = np.diff(total[edges])

@@ -11,7 +11,7 @@ from jaxtyping import Float32, Float64
 
 from gsgen.contract.file_kinds.recognition import kind_of
 from gsgen.formats.shared.bytes import MAX_SPLATS
-from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, quoted
+from gsgen.formats.shared.errors import FormatNotRecognised, HeaderMalformed, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.recognition import not_recognised
 
@@ -30,7 +30,7 @@ CODEBOOK_SIZE: Final = 256
 MAX_PALETTE_SIZE: Final = 1 << 16
 """The most entries of the palette of harmonics."""
 
-_EXPECTED: Final = "the meta.json of a SOG"
+_EXPECTED_FILE: Final = "the meta.json of a SOG"
 _SH_BANDS = (1, 2, 3)
 
 
@@ -73,7 +73,7 @@ class Meta:
         """Parse the meta.json of a SOG file.
 
         Raises:
-            NotRecognised: The content is not the JSON object of a SOG.
+            FormatNotRecognised: The content is not the JSON object of a SOG.
             NotSupported: The version is not 2, or the file lists levels of detail.
             HeaderMalformed: The number of splats is missing or invalid.
         """
@@ -86,7 +86,7 @@ class Meta:
                 hint="read one of the files that it lists",
             )
         if "means" not in data:
-            raise not_recognised(content, _EXPECTED, "{")
+            raise not_recognised(content, _EXPECTED_FILE, "{")
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(
@@ -164,16 +164,16 @@ def parse_object(content: bytes) -> dict[str, Any]:
     """Parse a JSON file whose top level is an object.
 
     Raises:
-        NotRecognised: The content is not JSON, or not an object.
+        FormatNotRecognised: The content is not JSON, or not an object.
     """
     if not content.lstrip().startswith(b"{"):
-        raise not_recognised(content, _EXPECTED, content[:4].hex(" "))
+        raise not_recognised(content, _EXPECTED_FILE, content[:4].hex(" "))
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         reason = "it nests too deeply" if isinstance(error, RecursionError) else error
-        raise NotRecognised(
-            f"the file has invalid JSON ({reason})", where=META_FILE, expected=_EXPECTED
+        raise FormatNotRecognised(
+            f"the file has invalid JSON ({reason})", where=META_FILE, expected=_EXPECTED_FILE
         ) from error
     assert isinstance(data, dict)  # it begins with a brace
     return data

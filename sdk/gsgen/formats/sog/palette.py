@@ -19,7 +19,7 @@ _LLOYD_ROUNDS: Final = 2
 _POWER_STEPS: Final = 2
 _MIN_SEARCHED_ENTRIES: Final = 3072  # the entries, at least, of the blocks in which a splat looks
 _CHUNK_ROWS: Final = 1 << 12
-_FULL_SPLIT_DIVISOR: Final = (
+_FULL_CLUSTER_SPLIT_DIVISOR: Final = (
     8  # every cluster is split while the tree has fewer than 1/8 of its leaves
 )
 _SPLIT_DIVISOR: Final = 3  # later, the worst third
@@ -94,7 +94,7 @@ def _split_clusters(rows: Rows, size: int) -> Rows:
         candidates = np.flatnonzero((counts > 1) & (error > 0))
         if not len(candidates):
             break
-        divisor = 1 if len(starts) < size // _FULL_SPLIT_DIVISOR else _SPLIT_DIVISOR
+        divisor = 1 if len(starts) < size // _FULL_CLUSTER_SPLIT_DIVISOR else _SPLIT_DIVISOR
         most = min(-(-len(candidates) // divisor), size - len(starts))
         split_labels = candidates[np.argsort(-error[candidates], kind="stable")[:most]]
         is_split = np.isin(np.arange(len(starts)), split_labels)

@@ -57,7 +57,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
     Raises:
         FileUnreadable: A file is missing or empty, or may not be read.
-        NotRecognised: The file is not a SOG.
+        FormatNotRecognised: The file is not a SOG.
         NotSupported: The version is not 2, or Pillow is not installed.
         HeaderMalformed: meta.json is not JSON, or a value of it is missing or invalid.
         PropertyMissing: The archive lacks meta.json, or an image that it names.

@@ -35,7 +35,7 @@ NEWEST_GZIP_VERSION, NEWEST_VERSION = 3, 4
 """The last version in gzip, and the last version."""
 
 _ANTIALIASED_FLAG, _EXTENDED_FLAG = 1, 2
-_FILE_HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
+_FILE_HEADER, _FILE_HEADER_WITH_TABLE = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD = struct.Struct("<II")
 _MAX_SPLATS_PER_NINE_BYTES = 1024
@@ -82,7 +82,7 @@ def unpack(data: Data, max_bytes: int) -> Frame:
     """Unpack the header and the attribute streams of the SPZ file ``data``.
 
     Raises:
-        NotRecognised: The data are not an SPZ file.
+        FormatNotRecognised: The data are not an SPZ file.
         NotSupported: The version is later than 4, or the axes are swapped.
         HeaderMalformed: The header contradicts itself or the size of the file.
         FileTruncated: The data ends early.
@@ -178,8 +178,8 @@ def _append_pieces(body: bytearray, pieces: Iterator[bytes], length: int) -> Non
 
 
 def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
-    require_length(data, 0, _LONG_HEADER.size, "header")
-    fields = _LONG_HEADER.unpack_from(data)
+    require_length(data, 0, _FILE_HEADER_WITH_TABLE.size, "header")
+    fields = _FILE_HEADER_WITH_TABLE.unpack_from(data)
     magic, version, count, degree, fraction, flags, stream_count, toc = fields
     _require_magic(magic, data)
     _require_header(version, count, degree, fraction, len(data))
@@ -191,12 +191,16 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
             where="byte 15",
             expected=f"{len(parts)}, one for each attribute",
         )
-    if toc < _LONG_HEADER.size:
+    if toc < _FILE_HEADER_WITH_TABLE.size:
         raise HeaderMalformed(
             f"the table of contents is at byte {toc}", where="byte 16", expected="byte 32 or more"
         )
     require_length(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
-    signs = _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED_FLAG else RDF_RUB
+    signs = (
+        _extensions(bytes(data[_FILE_HEADER_WITH_TABLE.size : toc]))
+        if flags & _EXTENDED_FLAG
+        else RDF_RUB
+    )
     streams, offset = {}, toc + stream_count * _TOC_ENTRY.size
     for index, (name, size) in enumerate(parts.items()):
         entry = toc + index * _TOC_ENTRY.size
@@ -328,5 +332,5 @@ def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
     parts = [content[name] for name in STREAM_NAMES if content[name]]
     streams = [zstd.pack(part) for part in parts]
     toc = (_TOC_ENTRY.pack(len(a), len(b)) for a, b in zip(streams, parts, strict=True))
-    header = _LONG_HEADER.pack(*header_fields, len(parts), _LONG_HEADER.size)
+    header = _FILE_HEADER_WITH_TABLE.pack(*header_fields, len(parts), _FILE_HEADER_WITH_TABLE.size)
     return b"".join([header, *toc, *streams])

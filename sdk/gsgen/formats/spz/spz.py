@@ -49,7 +49,7 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = N
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
-        NotRecognised: The file is not an SPZ file.
+        FormatNotRecognised: The file is not an SPZ file.
         NotSupported: The version is later than 4, the axes are swapped, or the package
             zstandard is needed and missing.
         HeaderMalformed: The header contradicts itself or the size of the file.

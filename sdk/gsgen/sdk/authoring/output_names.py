@@ -1,6 +1,13 @@
 """The names of an exported model's ONNX outputs."""
 
-__all__ = ["APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT_OUTPUT", "GAUSSIANS", "output_names"]
+__all__ = [
+    "APPEARANCE_RGB",
+    "APPEARANCE_SH",
+    "CELLS_OUTPUT",
+    "COUNT_OUTPUT",
+    "GAUSSIANS",
+    "output_names",
+]
 
 from gsgen.contract.spec.manifest import GeneratorManifest
 
@@ -10,7 +17,7 @@ GAUSSIANS = "gaussians"
 APPEARANCE_SH = "color_sh"
 APPEARANCE_RGB = "color_rgb"
 COUNT_OUTPUT = "num_points"
-CELLS = "cells"
+CELLS_OUTPUT = "cells"
 
 
 def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
@@ -18,4 +25,4 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT_OUTPUT)
-    return names if manifest.outputs.cells is None else (*names, CELLS)
+    return names if manifest.outputs.cells is None else (*names, CELLS_OUTPUT)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.providers.cancellation import Stop
     from gsgen.sdk.binding.providers.errors import (
         CaptureOff,
-        FrameGone,
+        FrameExpired,
         InputInvalid,
         NodesOnCpu,
         ProviderUnavailable,
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession
 
 __all__ = [
-    "CameraLike", "CaptureOff", "Frame", "FrameGone", "FrameSession", "InputInvalid", "NodesOnCpu",
+    "CameraLike", "CaptureOff", "Frame", "FrameExpired", "FrameSession", "InputInvalid", "NodesOnCpu",
     "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
 ]  # fmt: skip
 
@@ -35,7 +35,7 @@ _MODULE_BY_NAME: Final = {
     "Frame": "gsgen.sdk.binding.frame",
     "Stop": "gsgen.sdk.binding.providers.cancellation",
     "CaptureOff": "gsgen.sdk.binding.providers.errors",
-    "FrameGone": "gsgen.sdk.binding.providers.errors",
+    "FrameExpired": "gsgen.sdk.binding.providers.errors",
     "InputInvalid": "gsgen.sdk.binding.providers.errors",
     "NodesOnCpu": "gsgen.sdk.binding.providers.errors",
     "ProviderUnavailable": "gsgen.sdk.binding.providers.errors",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.probing.sandbox_worker import Emit, run_worker
+from gsgen.contract.probing.sandbox_worker import EmitMessage, run_worker
 from gsgen.contract.process.limits import DRIVER_BYTES, limit_memory
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
@@ -26,7 +26,7 @@ def main(folder: Path) -> int:
     return run_worker(folder, _run_job)
 
 
-def _run_job(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_job(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     try:
         emit("measured", facts=_measure(job))
     except ProviderUnavailable as error:

@@ -19,7 +19,7 @@ from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SizeUnknown
 
 # A run with this graph number is neither captured nor replayed.
-_NO_GRAPH = ("gpu_graph_id", "-1")
+_NO_CUDA_GRAPH_OPTION = ("gpu_graph_id", "-1")
 # The largest buffer of drivers; larger requests hang instead of failing.
 _BUFFER_BYTES = (4 << 30) - 1
 # ONNX Runtime's message if an output does not fit its bound buffer.
@@ -111,7 +111,7 @@ class BoundSession:
         self._read: dict[str, np.ndarray] = {}
         self._binding = session.io_binding()
         self._options, self._uncaptured_options = stop.options(), stop.options()
-        self._uncaptured_options.add_run_config_entry(*_NO_GRAPH)
+        self._uncaptured_options.add_run_config_entry(*_NO_CUDA_GRAPH_OPTION)
         self.inputs = {
             spec.name: self._bind_input(spec, shapes[spec.name])
             for spec in tensor_specs(session.get_inputs())

@@ -56,7 +56,7 @@ class Frame:
 
         Raises:
             UnknownName: The model has no such output.
-            FrameGone: The session has computed a newer frame.
+            FrameExpired: The session has computed a newer frame.
         """
         if self.copies is None:
             return self.session.read(name, self.number)

@@ -1,6 +1,6 @@
 """Compares frames replayed by graph capture with frames computed without it."""
 
-__all__ = ["WrongReplay", "arrays_agree", "largest_difference", "output_origin", "wrong_outputs"]
+__all__ = ["ReplayMismatch", "arrays_agree", "largest_difference", "output_origin", "wrong_outputs"]
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _COPY_OPERATORS = frozenset({
 
 
 @dataclass(frozen=True, slots=True)
-class WrongReplay:
+class ReplayMismatch:
     """A model output whose replayed frames differ from frames computed without graph capture."""
 
     output: str  # the output, as a location
@@ -34,7 +34,7 @@ class WrongReplay:
 
 def wrong_outputs(
     uncaptured: Sequence[Outputs], replayed: Sequence[Outputs], origin: Callable[[str], str]
-) -> Iterator[WrongReplay]:
+) -> Iterator[ReplayMismatch]:
     """Yield every model output whose frames replayed by graph capture are wrong.
 
     ``replayed`` holds the frames of ``uncaptured``: the first was captured, the others replayed.
@@ -56,7 +56,7 @@ def wrong_outputs(
             difference = f"repeats frame 0 in all {len(actual) - 1} replays"
         else:
             difference = f"{len(wrong_frames)} of {len(expected)} frames differ, the first is frame {wrong_frames[0]}"
-        yield WrongReplay(f"output {name}", f"{difference}; {origin(name)}")
+        yield ReplayMismatch(f"output {name}", f"{difference}; {origin(name)}")
 
 
 def arrays_agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:

@@ -27,7 +27,7 @@ from gsgen.sdk.binding.model_facts import read_model_facts
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import (
     CaptureOff,
-    FrameGone,
+    FrameExpired,
     InputInvalid,
     NodesOnCpu,
     SessionClosed,
@@ -92,7 +92,7 @@ class FrameSession:
                 network: one of its own (True), or one that several models share.
 
         Raises:
-            HostFailed: The machine has no memory or no process for a confined model.
+            HostProcessFailed: The machine has no memory or no process for a confined model.
             ModelUnreadable: The file is not an ONNX model.
             ManifestInvalid: The embedded manifest cannot be read.
             ProviderUnavailable: The requested provider is not available.
@@ -298,7 +298,7 @@ class FrameSession:
         """Prevent other threads from computing a new frame while frame ``number`` is read.
 
         Raises:
-            FrameGone: The session has computed a newer frame.
+            FrameExpired: The session has computed a newer frame.
             SessionClosed: The session was closed.
         """
         with self._lock:
@@ -306,7 +306,7 @@ class FrameSession:
             if number != self._number:
                 message = f"frame {number} was overwritten by frame {self._number}"
                 hint = "Read a frame before the next run, or run(…, copy=True)."
-                raise FrameGone(message, where=str(self.path), hint=hint)
+                raise FrameExpired(message, where=str(self.path), hint=hint)
             yield
 
     def _output(self, name: str) -> Buffer:

@@ -204,11 +204,13 @@ def _outputs(
     if declared.cells is not None:
         message = "the manifest declares cells, but a constant scene is written without cells"
         raise GeneratorInvalid(message, where="manifest.outputs")
-    if rows.ndim != 2 or rows.shape[1] != layout.ROW or len(rows) != len(appearance):
+    if rows.ndim != 2 or rows.shape[1] != layout.ROW_LENGTH or len(rows) != len(appearance):
         shapes = (
             f"rows and appearance have the shapes {list(rows.shape)} and {list(appearance.shape)}"
         )
-        raise GeneratorInvalid(f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows")
+        raise GeneratorInvalid(
+            f"{shapes}, expected [N, {layout.ROW_LENGTH}] and [N, C]", where="rows"
+        )
     if not 0 <= count <= len(rows):
         raise GeneratorInvalid(
             f"the row count {count} is not within 0 to {len(rows)}", where="count"

@@ -23,7 +23,7 @@ from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.source_checks import check_gaussians
 from gsgen.sdk.exporting.tracing.hazards import HazardWatch, describe_hazard
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
-from gsgen.sdk.model_runs import MAX_KEPT_BYTES
+from gsgen.sdk.model_runs import MAX_KEPT_OUTPUT_BYTES
 from gsgen.sdk.parity import Reference
 
 # Bounds are widened by this share of their size, so that Gaussians stay inside them at times and
@@ -35,7 +35,7 @@ _CHUNK_ELEMENTS = 1 << 16
 class EagerRuns:
     """The outputs of a torch generator for several sets of test inputs, computed on demand.
 
-    Results are kept while they are small; beyond :data:`MAX_KEPT_BYTES` a probe is run again each time.
+    Results are kept while they are small; beyond :data:`MAX_KEPT_OUTPUT_BYTES` a probe is run again each time.
 
     Args:
         generator: The module.
@@ -64,7 +64,7 @@ class EagerRuns:
         if (
             sum(known_references.nbytes for known_references in self._known_references)
             + reference.nbytes
-            <= MAX_KEPT_BYTES
+            <= MAX_KEPT_OUTPUT_BYTES
         ):
             self._known_references.append(reference)
         return reference

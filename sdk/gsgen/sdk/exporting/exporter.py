@@ -48,14 +48,14 @@ from gsgen.sdk.rewriting.rewrite import Change, normalize_model
 from gsgen.sdk.source_pictures import SourcePictures, add_source_pictures
 
 # Compared probes of a quick comparison, besides the all-zero one.
-_QUICK_PROBES = 2
+_QUICK_PROBE_COUNT = 2
 # Tolerances of the search for weights that may be float16; _HALF_ROUNDINGS adds the rounding of
 # stored outputs. The search measures few probes: at others, covariances were four times as far off.
-_HALF_CHOICE = Tolerances(position=1e-2, covariance=1e-3, opacity=1e-4, appearance=5e-4)
+_FLOAT16_TOLERANCES = Tolerances(position=1e-2, covariance=1e-3, opacity=1e-4, appearance=5e-4)
 # How often the rounding of stored outputs is added to the tolerances.
 _HALF_ROUNDINGS = 3
 # Tolerances of the final comparison, at all probes, including those that the search did not use.
-_HALF_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appearance=1e-3)
+_FLOAT16_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appearance=1e-3)
 # Measurements and probes of the search during an export; the command `gsgen float16` takes more.
 _FLOAT16_RUN_BUDGET, _FLOAT16_PROBE_COUNT = 24, 4
 
@@ -154,7 +154,7 @@ def export(
             dtype="float32" if rewrite else dtype,
             stored_dtype=dtype,
             capacity=capacity,
-            compared=BOUNDS_PROBES if verify == "full" else _QUICK_PROBES,
+            compared=BOUNDS_PROBES if verify == "full" else _QUICK_PROBE_COUNT,
         )
         # Steps 2 to 4: tracing, rewriting and manifest.
         progress("tracing the graph")
@@ -211,7 +211,7 @@ def _rewrite(
         model,
         manifest,
         references.probes[::stride][:_FLOAT16_PROBE_COUNT],
-        tolerances=_HALF_CHOICE,
+        tolerances=_FLOAT16_TOLERANCES,
         arithmetic=False,
         roundings=_HALF_ROUNDINGS,
         budget=_FLOAT16_RUN_BUDGET,
@@ -233,7 +233,7 @@ def _verify(
     suspects = ParitySuspects(generator, prepared.example, watch.hazards, options.rewrite)
     is_sorting = any(hazard.kind == "order" for hazard in watch.hazards)
     recorder = RowRecorder(prepared.references, prepared.recordable, 0 if is_sorting else vectors)
-    slack, roundings = (None, 1) if rewritten.halved is None else (_HALF_SLACK, _HALF_ROUNDINGS)
+    slack, roundings = (None, 1) if rewritten.halved is None else (_FLOAT16_SLACK, _HALF_ROUNDINGS)
     parity = check_parity(
         draft, manifest, prepared.references, suspects, options.progress, recorder, slack, roundings
     )

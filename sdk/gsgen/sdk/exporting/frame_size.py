@@ -19,7 +19,7 @@ _RGB_CHANNELS = 4
 # Frames below this size are exported too quickly for an estimate to matter.
 _LARGE_FRAME_BYTES = 64 << 20
 # Arrays of one frame that a comparison holds: eager torch's, its float64 covariances, the model's.
-_FRAMES_HELD = 4
+_FRAMES_IN_MEMORY = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ def _sizes(manifest: GeneratorManifest, dtype: str) -> _OutputSizes:
     degree = appearance.degree
     channels = _RGB_CHANNELS if degree is None else 3 * coefficients(degree)
     numbers = gaussians.capacity * np.dtype(dtype).itemsize
-    return _OutputSizes(layout.ROW * numbers, channels * numbers)
+    return _OutputSizes(layout.ROW_LENGTH * numbers, channels * numbers)
 
 
 def frame_bytes(manifest: GeneratorManifest, dtype: str | None = None) -> int:
@@ -58,7 +58,7 @@ def describe_size(manifest: GeneratorManifest, dtype: str, *, seconds: float, ru
     if size < _LARGE_FRAME_BYTES:
         return ""
     assert manifest.outputs.gaussians is not None
-    memory = (_FRAMES_HELD * size + (1 << 30)) / (1 << 30)
+    memory = (_FRAMES_IN_MEMORY * size + (1 << 30)) / (1 << 30)
     minutes = seconds * runs / 60
     return (
         f"{manifest.outputs.gaussians.capacity:,} Gaussians: {format_mebibytes(size, 0)} a frame; "

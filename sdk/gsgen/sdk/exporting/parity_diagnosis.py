@@ -17,7 +17,7 @@ from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.parity import ModelOutput, references_equal
 
 RunProbes = Callable[[list[Probe]], list[ModelOutput]]
-_MAX_NAMED = 3
+_MAX_LISTED_SUSPECTS = 3
 
 _RANDOM_HINT = (
     "forward gives another result for the same inputs: it draws random numbers, reads a clock, "
@@ -62,7 +62,7 @@ def diagnose(
 
 def _hint(suspects: ParitySuspects, references: EagerRuns) -> str:
     if suspects.hazards:
-        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MAX_NAMED])
+        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MAX_LISTED_SUSPECTS])
     second_run = run_eager(suspects.generator, references.probes[-1])
     if not references_equal(references[-1], second_run):
         return _RANDOM_HINT

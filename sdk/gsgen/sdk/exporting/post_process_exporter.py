@@ -53,9 +53,9 @@ from gsgen.sdk.rewriting.model_io import save_model
 OUTPUT_NAME = "result"
 # Sets of inputs for each image size that is compared, and for the search for float16 nodes.
 _RUNS_PER_SIZE = 4
-_HALF_PROBES = 3
+_FLOAT16_ERROR_PROBE_COUNT = 3
 # Height and width: models of any size are traced at the first, and compared at both.
-_TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
+_TRACED_IMAGE_SIZE, _SECOND_IMAGE_SIZE = (64, 64), (48, 80)
 
 
 def export_post_process(
@@ -124,7 +124,7 @@ def export_post_process(
         finite_probes = [probe for probe, image in pairs if np.isfinite(image).all()]
         image_name = _image(model.inputs).name
         halved = image_to_float16(
-            graph, image_name, finite_probes[:_HALF_PROBES], allowed, progress
+            graph, image_name, finite_probes[:_FLOAT16_ERROR_PROBE_COUNT], allowed, progress
         )
     # Steps 5 to 7: verification, validation and atomic write.
     with atomic_write(path) as draft:
@@ -218,7 +218,7 @@ def _probes_of_sizes(
 ) -> Iterator[Probe]:
     """Yield the test inputs for each tested image size: two sizes if the model takes any size."""
     any_size = _image(model.inputs).shape is None
-    for size in (_TRACED_SIZE, _SECOND_SIZE) if any_size else (_TRACED_SIZE,):
+    for size in (_TRACED_IMAGE_SIZE, _SECOND_IMAGE_SIZE) if any_size else (_TRACED_IMAGE_SIZE,):
         shape = (1, model.channels, *size)
         yield from probes_of(manifest, count=_RUNS_PER_SIZE, image=(dtype, shape))
 

@@ -27,7 +27,7 @@ from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.output_names import (
     APPEARANCE_RGB,
     APPEARANCE_SH,
-    CELLS,
+    CELLS_OUTPUT,
     COUNT_OUTPUT,
     GAUSSIANS,
 )
@@ -141,7 +141,7 @@ def _with_outputs(
         return manifest
     per_cell = count // len(start.cells)
     check_whole_cells(rows, per_cell)
-    cells = CellsOutput(CELLS, per_cell, dtype)
+    cells = CellsOutput(CELLS_OUTPUT, per_cell, dtype)
     return replace(manifest, outputs=replace(manifest.outputs, cells=cells))
 
 

@@ -27,7 +27,7 @@ from gsgen.contract.validator import validate
 from gsgen.sdk.authoring.output_names import APPEARANCE_RGB, APPEARANCE_SH, COUNT_OUTPUT, GAUSSIANS
 from gsgen.sdk.exporting.embed_manifest import with_profile
 from gsgen.sdk.passes import (
-    CastCount,
+    CastCountOutput,
     PadColor,
     PinDimensions,
     RenameOutputs,
@@ -203,7 +203,7 @@ def _repair_steps(
         )
     if count is not None and "GO011" in violated_rules:
         repair_steps.append(
-            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
+            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCountOutput(count.name))
         )
     if color is not None and color.space == "rgb" and "GO015" in violated_rules:
         description = f"{color.name} is padded to four channels"

@@ -17,13 +17,13 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.validation.agreement import FieldError
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
-from gsgen.sdk.model_runs import MAX_KEPT_BYTES, run_in_groups
+from gsgen.sdk.model_runs import MAX_KEPT_OUTPUT_BYTES, run_in_groups
 from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
 _MIN_TOLERANCE = 1e-3
 # Number of further probes: coprime to the number of the search's probes, so that times differ.
-_UNSEEN_COUNT = 12
+_HELD_OUT_PROBE_COUNT = 12
 
 
 class ErrorProbe:
@@ -69,7 +69,7 @@ class ErrorProbe:
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         # The search compares every step-th row of large outputs; the result is compared in full.
-        self._step = max(1, -(-len(probes) * self.frame_bytes // MAX_KEPT_BYTES))
+        self._step = max(1, -(-len(probes) * self.frame_bytes // MAX_KEPT_OUTPUT_BYTES))
         self._references = [self._reference(probe, self._step) for probe in probes]
         self._unseen_probes = _unseen_probes(manifest, probes)
         # A search with a smaller share of the tolerance asks for most choices again.
@@ -169,4 +169,8 @@ def _unseen_probes(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tupl
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}
-    return default_probes(manifest, shapes, dtypes, seed=1, count=_UNSEEN_COUNT) if inputs else ()
+    return (
+        default_probes(manifest, shapes, dtypes, seed=1, count=_HELD_OUT_PROBE_COUNT)
+        if inputs
+        else ()
+    )

@@ -14,7 +14,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op, opset_of
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 
@@ -24,7 +24,7 @@ _FLOAT16_TYPE = "tensor(float16)"
 _SHAPE_OPERATORS = ("Shape", "Size")
 
 
-class ToFloat16(CautiousRewrite):
+class ToFloat16(SkippableRewrite):
     """Compute in float16, except for nodes in ``keep`` and operators without float16 kernels.
 
     Weights and tensors are half as large, and many devices compute twice as fast. Inputs of a frame

@@ -12,7 +12,7 @@ from gsgen.contract.validation.agreement import FieldError, comparable_parts, fi
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.tolerances import effective_tolerances
 from gsgen.sdk.binding.replay_check import (
-    WrongReplay,
+    ReplayMismatch,
     arrays_agree,
     largest_difference,
     output_origin,
@@ -27,7 +27,7 @@ _TOLERANCE = 2e-3
 _EXPECTED_TEXT = "the CPU's value"
 
 
-def wrong_replays(live: LiveLevel) -> Iterator[WrongReplay]:
+def wrong_replays(live: LiveLevel) -> Iterator[ReplayMismatch]:
     """Yield every output whose frames replayed by graph capture differ from uncaptured frames."""
     graph = live.subject.graph
     pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]

@@ -17,7 +17,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, run_worker
+from gsgen.contract.probing.sandbox_worker import (
+    EmitMessage,
+    input_reader,
+    keep_outputs,
+    run_worker,
+)
 from gsgen.contract.process.limits import DRIVER_BYTES, limit_memory
 from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
@@ -46,7 +51,7 @@ def main(folder: Path) -> int:
     return run_worker(folder, _run_job)
 
 
-def _run_job(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+def _run_job(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     _set_driver_environment(folder)
     try:
         import onnxruntime
@@ -77,7 +82,7 @@ def _set_driver_environment(folder: Path) -> None:
         os.environ.setdefault(name, value)
 
 
-def _find_provider(emit: Emit) -> SourceOpener:
+def _find_provider(emit: EmitMessage) -> SourceOpener:
     """Report the GPU of the WebGPU provider, and return a function that opens models on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
@@ -89,7 +94,7 @@ def _find_provider(emit: Emit) -> SourceOpener:
     return open_with_adapter
 
 
-def _try_adapter(opener: SourceOpener, folder: Path, emit: Emit, *, half: bool) -> None:
+def _try_adapter(opener: SourceOpener, folder: Path, emit: EmitMessage, *, half: bool) -> None:
     """Run a minimal model in float32 and float16, and report the GPU that ran it."""
     try:
         _run_smallest(opener, "float32")
@@ -137,7 +142,9 @@ def _run_smallest(opener: SourceOpener, dtype: str) -> None:
 class _FrameRunner:
     """Computes the frames of one model in WebGPU, without graph capture and by replay."""
 
-    def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: SourceOpener) -> None:
+    def __init__(
+        self, folder: Path, job: dict[str, Any], emit: EmitMessage, opener: SourceOpener
+    ) -> None:
         self.folder, self.job, self.emit, self.opener = folder, job, emit, opener
         self.known: dict[str, int] = {}
 

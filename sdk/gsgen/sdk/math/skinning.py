@@ -6,7 +6,7 @@ After k rounds of one gather and one batched product, 2ᵏ joints of a chain are
 jumping), so the 24 joints of SMPL need four rounds.
 """
 
-__all__ = ["NO_PARENT", "skin", "skinning_transforms"]
+__all__ = ["NO_PARENT_JOINT", "skin", "skinning_transforms"]
 
 from collections.abc import Iterator, Sequence
 
@@ -18,7 +18,7 @@ from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.math.rotations import transform_points
 
 # The number for "no parent" in kinematic trees that are stored as unsigned integers.
-NO_PARENT = (1 << 32) - 1
+NO_PARENT_JOINT = (1 << 32) - 1
 
 
 def skinning_transforms(
@@ -116,11 +116,12 @@ def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) 
         )
         raise GeneratorInvalid(f"{message} differ in number", where=where)
     for joint, parent in enumerate(parents):
-        if parent not in (-1, NO_PARENT) and not 0 <= parent < count:
+        if parent not in (-1, NO_PARENT_JOINT) and not 0 <= parent < count:
             message = f"joint {joint} has parent {parent}, expected -1 to {count - 1}"
             raise GeneratorInvalid(message, where=where)
     indices = [
-        count if parent_index in (-1, NO_PARENT) else int(parent_index) for parent_index in parents
+        count if parent_index in (-1, NO_PARENT_JOINT) else int(parent_index)
+        for parent_index in parents
     ]
     for joint in range(count):
         steps, ancestor = 0, joint

@@ -17,8 +17,8 @@ from gsgen.sdk.passes.indexing.reduce_scatters import ReduceScatters
 from gsgen.sdk.passes.indexing.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.lowering.arithmetic_masks import ArithmeticMasks
 from gsgen.sdk.passes.lowering.multiply_matrices import MultiplyMatrices
-from gsgen.sdk.passes.lowering.pick_parts import PickParts
-from gsgen.sdk.passes.lowering.round_by_floor import RoundByFloor
+from gsgen.sdk.passes.lowering.pick_parts import LowerSplitsToSlices
+from gsgen.sdk.passes.lowering.round_by_floor import LowerRoundToFloor
 from gsgen.sdk.passes.lowering.sample_by_product import SampleByProduct
 from gsgen.sdk.passes.lowering.select_extremes import SelectExtremes
 from gsgen.sdk.passes.lowering.unroll_control_flow import UnrollControlFlow
@@ -36,7 +36,7 @@ from gsgen.sdk.passes.portability.narrow_integers import NarrowIntegers
 from gsgen.sdk.passes.portability.restore_guards import RestoreGuards
 from gsgen.sdk.passes.portability.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.rows.mask_rows import MaskRows
-from gsgen.sdk.passes.rows.work_in_columns import WorkInColumns
+from gsgen.sdk.passes.rows.work_in_columns import RewriteRowsToColumns
 from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
 from gsgen.sdk.passes.simplify.explicit_defaults import MakeDefaultsExplicit
 from gsgen.sdk.passes.simplify.fold_shapes import FoldShapes
@@ -75,11 +75,11 @@ REWRITES: tuple[type[Rewrite], ...] = (
     WriteOutReductions,
     WriteOutSigns,
     MultiplyMatrices,
-    RoundByFloor,
+    LowerRoundToFloor,
     # -- Less work: unneeded operators are removed, consecutive ones merged.
-    WorkInColumns,
+    RewriteRowsToColumns,
     SampleByProduct,
-    PickParts,
+    LowerSplitsToSlices,
     MergeTransposes,
     RemoveNoOps,
     MergeCasts,

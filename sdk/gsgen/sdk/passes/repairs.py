@@ -1,7 +1,7 @@
 """Repairs of model outputs that violate a rule, where only one repair is possible."""
 
 __all__ = [
-    "CastCount", "PadColor", "PinDimensions", "RenameOutputs", "ReorderHarmonics", "SilencePadding",
+    "CastCountOutput", "PadColor", "PinDimensions", "RenameOutputs", "ReorderHarmonics", "SilencePadding",
 ]  # fmt: skip
 
 from abc import abstractmethod
@@ -32,7 +32,7 @@ class _OutputRepair(_Repair):
         self.name = name
 
 
-class CastCount(_OutputRepair):
+class CastCountOutput(_OutputRepair):
     """Cast the row count output to int32 [1], because runtimes read four bytes (rule GO011).
 
     ::

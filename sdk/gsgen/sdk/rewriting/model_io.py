@@ -15,7 +15,7 @@ from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 
 # Weights up to this size stay in the model even if larger ones go to a second file.
-_SMALL_BYTES = 256
+_MAX_INLINE_WEIGHT_BYTES = 256
 
 
 def load_model(path: Path) -> ir.Model:
@@ -95,9 +95,11 @@ def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -
     with the suffix ``.data``, even if they fit the model file.
     """
     sizes = _sizes(model)
-    if (external_weights and max(sizes, default=0) > _SMALL_BYTES) or sum(sizes) > INLINE_LIMIT:
+    if (external_weights and max(sizes, default=0) > _MAX_INLINE_WEIGHT_BYTES) or sum(
+        sizes
+    ) > INLINE_LIMIT:
         name = f"{path.name}.data"
-        ir.save(model, path, external_data=name, size_threshold_bytes=_SMALL_BYTES)
+        ir.save(model, path, external_data=name, size_threshold_bytes=_MAX_INLINE_WEIGHT_BYTES)
         return
     with _weights_in_memory(model):
         ir.save(model, path)

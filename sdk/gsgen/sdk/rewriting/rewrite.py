@@ -44,7 +44,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BIT_EXACT, ErrorBudget, Rewrite, RewriteTarget, opset_of
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
+from gsgen.sdk.passes.framework.cautious_rewrite import Refusal, SkippableRewrite
 from gsgen.sdk.passes.framework.shape_inference import infer_shapes
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.rewriting.model_io import (
@@ -57,7 +57,7 @@ from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, pr
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 # Passes enable each other a few times at most; more rounds mean that two undo each other.
-_MAX_ROUNDS = 20
+_MAX_REWRITE_ROUNDS = 20
 
 # A graph that breaks these rules has no defined result that a rewrite could preserve.
 _GRAPH_RULES = ("GG015", "GG019")
@@ -282,7 +282,7 @@ def remove_unused(model: ir.Model) -> None:
 def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
     """Return the nodes that rewrites left unchanged in their last run, with reasons."""
     return [
-        r for rewrite in rewrites if isinstance(rewrite, CautiousRewrite) for r in rewrite.refusals
+        r for rewrite in rewrites if isinstance(rewrite, SkippableRewrite) for r in rewrite.refusals
     ]
 
 
@@ -293,7 +293,7 @@ def _bit_exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
 def _apply_until_stable(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
     """Apply graph rewrites in rounds until a round changes nothing; return all changes."""
     changes: list[Change] = []
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(_MAX_REWRITE_ROUNDS):
         changed = False
         for rewrite in rewrites:
             if not rewrite(model).modified:
@@ -305,7 +305,7 @@ def _apply_until_stable(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Ch
         if not changed:
             return _merge_changes(changes)
     unstable_names = ", ".join(sorted({change.rewrite for change in changes}))
-    message = f"still changes after {_MAX_ROUNDS} rounds of {unstable_names}"
+    message = f"still changes after {_MAX_REWRITE_ROUNDS} rounds of {unstable_names}"
     hint = "Leave one of them out with --skip, and please report it."
     raise RewriteFailed(message, where="rewrite", hint=hint)
 

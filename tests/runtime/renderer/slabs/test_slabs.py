@@ -12,7 +12,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.renderer.slabs import CountKeys, KeyRange, slab_ranges
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
 from references.projection import place_reference, tally_reference
 from support.rendering.small_bindings import SMALL, assert_same_images
 from support.rendering.splat_scenes import SCENES, camera, cloud, turned
@@ -132,7 +132,7 @@ def test_pool_in_slabs_is_unchanged(renderers: tuple[Renderer, Renderer]) -> Non
         pool = SplatPool(5000 + 128, 12, slot_rows=128)
         pool.insert(0, data.rows, data.appearance, np.zeros(3))
         pool.draw({0: 0.9})
-        pooled = PooledSet(pool, turned(0.4, (1, 2, 3), 1.3))
+        pooled = PooledSplatSet(pool, turned(0.4, (1, 2, 3), 1.3))
         frames.append(renderer.render(Scene([around], pools=[pooled]), camera(), outputs=OUTPUTS))
     assert_same_images(frames[1], frames[0])
     assert frames[0].visible == frames[1].visible > SMALL // 16

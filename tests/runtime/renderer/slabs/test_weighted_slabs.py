@@ -10,7 +10,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
 from support.rendering.mesh_scenes import wall
 from support.rendering.small_bindings import ROWS, SMALL, assert_same_images
 from support.rendering.splat_scenes import camera, cloud, turned
@@ -182,7 +182,7 @@ def test_pool_mixes_with_weighted_slabs(renderers: tuple[Renderer, Renderer]) ->
         pool = SplatPool(512, 12, slot_rows=128)
         pool.insert(0, tile.rows, tile.appearance, np.zeros(3))
         pool.draw({0: 0.9})
-        scene = Scene([sums], pools=[PooledSet(pool, turned(0.4, (1, 2, 3), 1.3))])
+        scene = Scene([sums], pools=[PooledSplatSet(pool, turned(0.4, (1, 2, 3), 1.3))])
         frames.append(renderer.render(scene, camera(width=16, height=20)))
     assert np.array_equal(frames[0].rgba, frames[1].rgba)
     assert frames[0].visible == frames[1].visible

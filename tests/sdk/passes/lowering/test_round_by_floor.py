@@ -6,7 +6,7 @@ import onnx_ir as ir
 import onnxruntime
 import pytest
 
-from gsgen.sdk.passes import RoundByFloor
+from gsgen.sdk.passes import LowerRoundToFloor
 
 TEXT = """
 <ir_version: 8, opset_import: ["" : 18]>
@@ -23,7 +23,7 @@ def run(model: onnx.ModelProto, x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("text", "dtype"), [("float", "float32"), ("float16", "float16")])
 def test_rounding_by_floor_is_rounding(text: str, dtype: str) -> None:
     proto = onnx.parser.parse_model(TEXT.replace("DTYPE", text))
-    result = RoundByFloor()(ir.serde.deserialize_model(proto))
+    result = LowerRoundToFloor()(ir.serde.deserialize_model(proto))
     assert result.modified
     rewritten = ir.serde.serialize_model(result.model)
     onnx.checker.check_model(rewritten, full_check=True)
@@ -37,4 +37,4 @@ def test_rounding_by_floor_is_rounding(text: str, dtype: str) -> None:
 
 def test_a_model_that_rounds_nothing_is_left_alone() -> None:
     proto = onnx.parser.parse_model(TEXT.replace("DTYPE", "float").replace("Round", "Floor"))
-    assert not RoundByFloor()(ir.serde.deserialize_model(proto)).modified
+    assert not LowerRoundToFloor()(ir.serde.deserialize_model(proto)).modified

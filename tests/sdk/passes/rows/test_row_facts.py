@@ -5,7 +5,7 @@ import onnx_ir as ir
 import pytest
 from onnx_ir.passes.common import ShapeInferencePass
 
-from gsgen.sdk.passes.lowering.pick_parts import PickParts
+from gsgen.sdk.passes.lowering.pick_parts import LowerSplitsToSlices
 from gsgen.sdk.passes.lowering.sample_by_product import SampleByProduct
 from gsgen.sdk.passes.simplify.merge_transposes import MergeTransposes
 from support.passes import operators, parsed, run
@@ -113,7 +113,7 @@ def test_parts_are_taken_before_they_are_joined(name: str) -> None:
     model = parsed(text)
     x, z = (RNG.normal(size=(4, size)).astype(np.float32) for size in (3, 1))
     (before,) = run(model, x=x, z=z)
-    assert PickParts()(model).modified
+    assert LowerSplitsToSlices()(model).modified
     (last,) = (node for node in model.graph if node.op_type == "Exp")
     result, kinds = last.inputs[0].producer(), set()
     while result.op_type in ("Gather", "Concat", "Transpose"):
@@ -121,7 +121,7 @@ def test_parts_are_taken_before_they_are_joined(name: str) -> None:
         result = result.inputs[0].producer()
     assert kinds == left
     np.testing.assert_array_equal(run(model, x=x, z=z)[0], before)
-    assert not PickParts()(model).modified
+    assert not LowerSplitsToSlices()(model).modified
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_parts_are_taken_before_they_are_joined(name: str) -> None:
     ],
 )
 def test_slices_of_unknown_shape_stay(text: str) -> None:
-    assert not PickParts()(parsed(text)).modified
+    assert not LowerSplitsToSlices()(parsed(text)).modified
 
 
 @pytest.mark.parametrize(

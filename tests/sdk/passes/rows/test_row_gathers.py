@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gsgen.sdk.passes.indexing.gather_scatters import GatherScatters
 from gsgen.sdk.passes.indexing.gather_slices import GatherSlices
-from gsgen.sdk.passes.lowering.pick_parts import PickParts
+from gsgen.sdk.passes.lowering.pick_parts import LowerSplitsToSlices
 from support.passes import HEAD, operators, parsed, run, text_of
 
 
@@ -213,4 +213,4 @@ def test_a_place_beyond_what_was_joined_is_left_to_the_runtime(location: int) ->
         f"g (float[2] x, float[2] z) => (float[1] y) <int64[1] i = {{{location}}}> "
         "{ c = Concat <axis = 0> (x, z) y = Gather <axis = 0> (c, i) }"
     )
-    assert not PickParts()(parsed(text)).modified
+    assert not LowerSplitsToSlices()(parsed(text)).modified

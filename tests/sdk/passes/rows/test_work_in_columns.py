@@ -5,7 +5,7 @@ import onnx_ir as ir
 import pytest
 
 from gsgen.sdk.passes.rows import work_in_columns
-from gsgen.sdk.passes.rows.work_in_columns import WorkInColumns
+from gsgen.sdk.passes.rows.work_in_columns import RewriteRowsToColumns
 from support.passes import operators, parsed, run, text_of
 
 WEIGHTS = (
@@ -81,7 +81,7 @@ def test_column_form_equals_row_form(name: str, monkeypatch) -> None:
     monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     model, values = model_of(*ROWS[name]), inputs()
     (before,) = run(model, **values)
-    assert WorkInColumns()(model).modified
+    assert RewriteRowsToColumns()(model).modified
     kinds = {"Expand", "Gather", "Slice", "Transpose", "ReduceSum", "ReduceL2", "ReduceMax"}
     assert not kinds & operators(model)
     assert model.graph.outputs[0].name == "y"
@@ -91,8 +91,8 @@ def test_column_form_equals_row_form(name: str, monkeypatch) -> None:
 
 def test_pass_is_idempotent() -> None:
     model = model_of(*ROWS["matrices"])
-    assert WorkInColumns()(model).modified
-    assert not WorkInColumns()(model).modified
+    assert RewriteRowsToColumns()(model).modified
+    assert not RewriteRowsToColumns()(model).modified
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_pass_is_idempotent() -> None:
 def test_rows_that_are_fast_enough_stay(body: str) -> None:
     model = model_of(body, "N,A")
     before = text_of(model)
-    assert not WorkInColumns()(model).modified
+    assert not RewriteRowsToColumns()(model).modified
     assert text_of(model) == before
 
 
@@ -116,7 +116,7 @@ def test_few_rows_stay_for_a_launch_costs_more() -> None:
         "g (float[700,3] x, float[700,3] z, float[700,1] c, float[1] t) => "
         f"(float[{dims}] y) {WEIGHTS} {{ {body} }}"
     ).replace("70000", "700")
-    assert not WorkInColumns()(parsed(text)).modified
+    assert not RewriteRowsToColumns()(parsed(text)).modified
 
 
 def test_wide_rows_and_rows_of_another_length_stay(monkeypatch) -> None:
@@ -125,7 +125,7 @@ def test_wide_rows_and_rows_of_another_length_stay(monkeypatch) -> None:
         "g (float[70000,40] x, float[70000] z) => (float[70000,40] y, float[1,70000] w) <int64[1] zero = {0}> "
         "{ y = Exp (x) w = Unsqueeze (z, zero) }"
     )
-    assert not WorkInColumns()(parsed(text)).modified
+    assert not RewriteRowsToColumns()(parsed(text)).modified
 
 
 def test_shared_results_are_reassembled_into_rows(monkeypatch) -> None:
@@ -140,6 +140,6 @@ def test_shared_results_are_reassembled_into_rows(monkeypatch) -> None:
         for k, s in (("x", (70000, 3)), ("c", (70000, 1)), ("k", (3, 20)))
     }
     before = run(model, **inputs)
-    assert WorkInColumns()(model).modified
+    assert RewriteRowsToColumns()(model).modified
     for expected, actual in zip(before, run(model, **inputs), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-5)

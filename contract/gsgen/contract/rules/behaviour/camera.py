@@ -23,7 +23,7 @@ _MIN_CULLED_SHARE = 0.01
 # them by others, leaves few of them bare (0 to 0.11 in exports), culling leaves most (0.75 and more).
 _SAMPLE_ROWS = 64
 _COVERED_SIGMAS = 2.0
-_MAX_BARE_SHARE = 0.4
+_MAX_BACKGROUND_SHARE = 0.4
 
 
 @rule("GI007", Severity.ERROR, needs=(*REPRODUCIBLE, "GI001", "GM006"))
@@ -112,7 +112,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
         )
         if (
             is_significant
-            and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BARE_SHARE
+            and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BACKGROUND_SHARE
         ):
             actual = (
                 f"{culled_count} rows in the middle of the view have opacity 0 at {probe.label!r}, and "

@@ -27,7 +27,7 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import field_errors, tolerance_of
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import (
-    COLORED_ROWS,
+    COLORED_ROW_RULES,
     FINITE_OUTPUTS,
     MANIFEST_PARSED,
     REPRODUCIBLE,
@@ -87,7 +87,7 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
 @rule(
     "GM037",
     Severity.WARNING,
-    needs=(*REPRODUCIBLE, *COLORED_ROWS, *FINITE_OUTPUTS, *MANIFEST_PARSED),
+    needs=(*REPRODUCIBLE, *COLORED_ROW_RULES, *FINITE_OUTPUTS, *MANIFEST_PARSED),
 )
 def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:
     """The model reproduces the rows of its original (source) that test vectors record.

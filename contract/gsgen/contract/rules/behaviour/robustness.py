@@ -10,7 +10,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
-from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
+from gsgen.contract.spec.layout import MOSTLY_INVISIBLE_SHARE, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import (
     FieldError,
@@ -178,7 +178,7 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
         opacity = outputs[declared.name][:live, OPACITY]
         inert_count = int(np.count_nonzero(opacity == 0))
         # If nearly all are inert, GV004 reports it.
-        if _MIN_INERT_SHARE * len(opacity) < inert_count <= MOSTLY_INVISIBLE * len(opacity):
+        if _MIN_INERT_SHARE * len(opacity) < inert_count <= MOSTLY_INVISIBLE_SHARE * len(opacity):
             actual = (
                 f"{inert_count} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             )

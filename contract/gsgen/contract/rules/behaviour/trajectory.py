@@ -16,9 +16,9 @@ from gsgen.contract.validation.rule import rule
 _POSITION = slice(0, 3)
 _ROTATION = slice(3, None)
 # The largest difference of a quaternion's length from 1.
-_UNIT_SLACK = 1e-3
+_UNIT_QUATERNION_TOLERANCE = 1e-3
 # The largest drift of a predicted state, relative to the size of the coordinates.
-_MAX_DRIFT = 2e-3
+_MAX_REST_POSE_DRIFT = 2e-3
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
@@ -84,10 +84,10 @@ def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if name != manifest.outputs.future.name:
             continue
         length = np.linalg.norm(value[:, _ROTATION].astype(np.float64), axis=1)
-        if not (np.abs(length - 1) <= _UNIT_SLACK).all():
+        if not (np.abs(length - 1) <= _UNIT_QUATERNION_TOLERANCE).all():
             row = int(np.abs(length - 1).argmax())
             actual = f"length {length[row]:.4g} in row {row} at probe {label!r}"
-            yield Violation.at(f"output {name}", actual, f"1 ± {_UNIT_SLACK:g}")
+            yield Violation.at(f"output {name}", actual, f"1 ± {_UNIT_QUATERNION_TOLERANCE:g}")
 
 
 def _values(
@@ -200,10 +200,10 @@ def _compare(
         actual[products < 0, _ROTATION] *= -1
     scale = max(1.0, float(np.abs(expected).max(initial=0)))
     difference = np.abs(actual - expected)
-    if not (difference <= _MAX_DRIFT * scale).all():
+    if not (difference <= _MAX_REST_POSE_DRIFT * scale).all():
         row, column = np.unravel_index(int(difference.argmax()), difference.shape)
         yield Violation.at(
             f"output {future.name}",
             f"row {row} is off by {difference[row, column]:.4g} in column {column} for {situation_text}",
-            f"a difference of {_MAX_DRIFT * scale:.2g} at most",
+            f"a difference of {_MAX_REST_POSE_DRIFT * scale:.2g} at most",
         )

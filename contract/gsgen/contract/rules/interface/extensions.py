@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
-from gsgen.contract.spec.layout import ITEMSIZE, ROW
+from gsgen.contract.spec.layout import ITEMSIZE, ROW_LENGTH
 from gsgen.contract.spec.manifest import GeneratorManifest, TrajectoryManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.reader_needs import READER_PROFILES, REGISTERED_EXTENSIONS
@@ -104,7 +104,7 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     generator, declared = subject.generator, subject.declared_gaussians
     if generator is None or declared is None:
         return
-    frame = declared.capacity * ROW * ITEMSIZE[declared.dtype]
+    frame = declared.capacity * ROW_LENGTH * ITEMSIZE[declared.dtype]
     for number, entry in enumerate(generator.cost):
         if entry.bytes is not None and entry.bytes < frame:
             expected = f"at least {format_bytes(frame)}, the packed rows"

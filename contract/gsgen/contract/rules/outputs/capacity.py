@@ -9,7 +9,7 @@ from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_mebibytes
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import COUNTED_ROWS
+from gsgen.contract.validation.gates import COUNTED_ROW_RULES
 from gsgen.contract.validation.rule import rule
 
 # Capacities may be rounded up to whole workgroups.
@@ -24,7 +24,7 @@ def _is_wasteful(max_count: int, capacity: int) -> bool:
     return max_count < _MIN_USED_SHARE * capacity and capacity - max_count >= _MIN_WASTED_ROWS
 
 
-@rule("GO012", Severity.INFO, needs=COUNTED_ROWS[:-1])
+@rule("GO012", Severity.INFO, needs=COUNTED_ROW_RULES[:-1])
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
     """A constant row count equals the number of packed rows, except for padding to workgroups.
 
@@ -45,7 +45,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
         yield Violation.at(f"output {declared.name}", actual, f"a capacity of {emission.count}")
 
 
-@rule("GL004", Severity.WARNING, needs=COUNTED_ROWS)
+@rule("GL004", Severity.WARNING, needs=COUNTED_ROW_RULES)
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     """At some probe (set of test inputs), Gaussians in use fill half of the packed rows or more.
 

@@ -5,7 +5,7 @@ from typing import Final
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW, WORD_BYTES
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW_LENGTH, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import DECLARATION_RULES
@@ -40,7 +40,9 @@ def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     if subject.gaussians is not None:
         return
     outputs = ", ".join(str(tensor) for tensor in subject.graph.outputs) or "nothing"
-    yield Violation.at("outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW}] output")
+    yield Violation.at(
+        "outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW_LENGTH}] output"
+    )
 
 
 @rule("GO002", Severity.ERROR, needs=("GO001", "GO003"))
@@ -56,15 +58,15 @@ def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         after its sigmoid. The SDK packs for you.
     """
     tensor = subject.gaussians
-    if tensor is not None and _dim_of_axis(tensor, -1) != ROW:
-        expected = f"[N, {ROW}]" + _likely_columns(tensor)
+    if tensor is not None and _dim_of_axis(tensor, -1) != ROW_LENGTH:
+        expected = f"[N, {ROW_LENGTH}]" + _likely_columns(tensor)
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
 def _likely_columns(tensor: Tensor) -> str:
     """Return the likely meaning of packed rows that are not ten wide, as text; empty if unknown."""
     columns = _dim_of_axis(tensor, -1)
-    if _dim_of_axis(tensor, 0) == ROW:
+    if _dim_of_axis(tensor, 0) == ROW_LENGTH:
         return "; this one is transposed, channels first"
     if isinstance(columns, int) and columns in COLUMN_MEANINGS:
         return f"; {columns} columns usually are {COLUMN_MEANINGS[columns]}"

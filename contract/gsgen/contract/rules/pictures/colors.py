@@ -10,14 +10,14 @@ from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import SH_DC
 from gsgen.contract.validation.finding import Location, Statistic, Violation
-from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.gates import COLORED_ROW_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 _ROUNDING = 1e-3
 # RGB taken for a constant term: from near 0 to near 1, never below 0 or above 1.
 _MAX_NEAR_ZERO, _MIN_NEAR_ZERO_SHARE, _MIN_SPREAD = 0.25, 0.02, 0.4
 # A constant term multiplied by its basis function, as viewers do once more, stays below 0.5.
-_MAX_GREY, _MIN_EITHER_SIDE = 0.5, 0.1
+_MAX_GREY_SHARE, _MIN_SHARE_EACH_SIDE = 0.5, 0.1
 # The fraction of channels that are brighter than white after the offset is added twice.
 _MIN_BRIGHT_SHARE = 0.3
 # The fraction of channels that viewers clip after a second division by the basis function.
@@ -25,7 +25,7 @@ _CLIP_MARGIN, _MIN_CLIPPED_SHARE = 0.1, 0.3
 _MIN_BYTE_VALUE = 20.0
 
 
-@rule("GV045", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"))
+@rule("GV045", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV014"))
 def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
     """The degree-0 SH coefficients do not look like RGB that was converted wrongly.
 
@@ -68,14 +68,17 @@ def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
             return "RGB were stored as DC"
     elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright_share >= _MIN_BRIGHT_SHARE:
         return "0.5 had not been subtracted from RGB before the division"
-    elif -_MAX_GREY <= low < -_MIN_EITHER_SIDE and _MIN_EITHER_SIDE < high <= _MAX_GREY:
+    elif (
+        -_MAX_GREY_SHARE <= low < -_MIN_SHARE_EACH_SIDE
+        and _MIN_SHARE_EACH_SIDE < high <= _MAX_GREY_SHARE
+    ):
         return "DC had been multiplied by 0.2821 already"
     elif clipped_share >= _MIN_CLIPPED_SHARE:
         return "DC had been divided by 0.2821 once too often"
     return ""
 
 
-@rule("GV046", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS))
+@rule("GV046", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES))
 def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
     """The colours of the Gaussians are not all zero, nor are all degree-0 SH coefficients.
 
@@ -108,7 +111,7 @@ _MAX_SMOOTH_ROUGHNESS, _MIN_UNRELATED_ROUGHNESS = 0.5, 0.75
 _SORT_COLUMNS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
 
 
-@rule("GV047", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS))
+@rule("GV047", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES))
 def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     """The rows of colours are in the order of the Gaussians to which they belong.
 
@@ -175,7 +178,7 @@ _MIN_DISTINCT_COLORS = 32
 _MAX_DIVIDED_TWICE = 1.02 / 255
 
 
-@rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"))
+@rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV012", "GV046"))
 def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
     """Raw RGB look converted once from stored colours: not twice, and not without the offset 0.5.
 

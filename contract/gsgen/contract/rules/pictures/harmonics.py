@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Statistic, Violation
-from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.gates import COLORED_ROW_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 # The statistic is the mean correlation of red, green and blue of the same coefficient: highlights
@@ -21,7 +21,7 @@ _SH1_CHANNELS = 12
 _DEGREE_1_LENGTH = 4
 
 
-@rule("GV048", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"))
+@rule("GV048", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV014"))
 def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     """Red, green and blue of each view-dependent SH coefficient are in adjacent columns.
 

@@ -8,7 +8,7 @@ from gsgen.contract.probing.drawn_sample import DrawnSample, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Statistic, Violation
-from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.gates import COLORED_ROW_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 # sigmoid(0) and sigmoid(1): what a sigmoid makes of opacities.
@@ -88,7 +88,7 @@ def _zero_and_one_shares(sample: DrawnSample) -> tuple[float, float]:
     return float((opacity == 0).mean()), float((opacity == 1).mean())
 
 
-@rule("GV044", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"))
+@rule("GV044", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV012"))
 def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
     """Colours are not premultiplied by opacity.
 

@@ -189,7 +189,7 @@ def _diagnose_convention(
         )
     if _explained_share(motion, declared) > _MAX_UNEXPLAINED_SHARE:
         return ""
-    for name, matrices in _WRONG_CONVENTIONS[width].items():
+    for name, matrices in _WRONG_POSE_CONVENTIONS[width].items():
         share = _explained_share(motion, _joint_rotations(pose_before, pose_after, matrices))
         if share >= _MIN_EXPLAINED_SHARE:
             return f"as no joint does, and in {share:.0%} of rows as if {name}"
@@ -214,7 +214,7 @@ def _axes(order: tuple[int, ...]) -> Matrices:
 
 
 _MATRICES_OF_WIDTH: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
-_WRONG_CONVENTIONS: dict[int, dict[str, Matrices]] = {
+_WRONG_POSE_CONVENTIONS: dict[int, dict[str, Matrices]] = {
     3: {
         "rotations were inverted": _inverted(_from_axis_angle),
         "angles were halved": lambda v: _from_axis_angle(v / 2),

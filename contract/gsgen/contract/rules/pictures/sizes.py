@@ -18,10 +18,10 @@ from gsgen.contract.validation.rule import rule
 _MIN_RATIO, _MAX_RATIO = 0.002, 5.0
 # Discs that lie in the surface of their neighbours, and needles on their strand, are not dust: they
 # leave holes below this. Right ones have 0.11 to 3.3.
-_MAX_HOLES_RATIO = 0.05
+_MAX_HOLE_AREA_RATIO = 0.05
 # Within these limits, a scene is suspected only if one known mistake explains it: undone, the
 # statistic lies in the narrower range that scenes without holes and without blur have.
-_SMALL_RATIO, _LARGE_RATIO, _HUGE_RATIO = 0.12, 0.8, 2.5
+_SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO, _HUGE_SIZE_RATIO = 0.12, 0.8, 2.5
 _USUAL_RATIO_RANGE = (0.25, 0.6)
 # Gaussians that follow their neighbours are not dust: below the first, a mistake is undone up to the
 # second.
@@ -54,25 +54,29 @@ _NOT_SQUARED_TEXT = "standard deviations stand where variances belong"
 _KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], SigmaArray]], ...] = (
     (
         "log scales were squared, and exp is missing",
-        (_HUGE_RATIO, np.inf),
+        (_HUGE_SIZE_RATIO, np.inf),
         lambda sigma: np.exp(-sigma),
     ),
-    (_NOT_SQUARED_TEXT, (_LARGE_RATIO, np.inf), np.square),
-    ("variances were squared once more", (0.0, _SMALL_RATIO), np.sqrt),
+    (_NOT_SQUARED_TEXT, (_LARGE_SIZE_RATIO, np.inf), np.square),
+    ("variances were squared once more", (0.0, _SMALL_SIZE_RATIO), np.sqrt),
     (
         "10 was raised to natural logarithms in place of e",
-        (0.0, _SMALL_RATIO),
+        (0.0, _SMALL_SIZE_RATIO),
         lambda sigma: sigma ** (1 / np.log(10)),
     ),
     *(
         (
             f"positions were multiplied by {factor} and scales were not",
-            (0.0, _SMALL_RATIO),
+            (0.0, _SMALL_SIZE_RATIO),
             revert_mistake,
         )
         for factor, revert_mistake in ((1000, _multiply_by(1000)), (100, _multiply_by(100)))
     ),
-    ("positions and variances were both multiplied by 100", (0.0, _SMALL_RATIO), _multiply_by(10)),
+    (
+        "positions and variances were both multiplied by 100",
+        (0.0, _SMALL_SIZE_RATIO),
+        _multiply_by(10),
+    ),
 )
 
 
@@ -98,17 +102,17 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     mistake = _find_mistake(sample, ratio)
     if mistake:
         actual += f", as if {mistake}"
-    elif _MIN_RATIO <= ratio < _MAX_HOLES_RATIO and _follows_neighbours(sample):
+    elif _MIN_RATIO <= ratio < _MAX_HOLE_AREA_RATIO and _follows_neighbours(sample):
         actual += ", although they follow the surface or the strand of their neighbours"
     elif _MIN_RATIO <= ratio <= _MAX_RATIO:
         return
     is_suspected = _MIN_RATIO <= ratio <= _MAX_RATIO  # the limits hold; the shapes tell otherwise
-    low, high = (_SMALL_RATIO, _LARGE_RATIO) if is_suspected else (_MIN_RATIO, _MAX_RATIO)
+    low, high = (_SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO) if is_suspected else (_MIN_RATIO, _MAX_RATIO)
     usual = ", as right scenes mostly have" if is_suspected else ""
     expected = f"a size of {low} to {high:g} times the distance to the neighbours{usual}"
     location = Location(sample.emission.rows_label, "covariance")
     usual_statistic = Statistic(
-        "median standard deviation over the spacing", ratio, _SMALL_RATIO, _LARGE_RATIO
+        "median standard deviation over the spacing", ratio, _SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO
     )
     yield Violation(
         where=location,
@@ -134,7 +138,7 @@ def _find_mistake(sample: DrawnSample, ratio: float) -> str:
         else _USUAL_RATIO_RANGE[1]
     )
     for mistake, (low, high), revert_mistake in _KNOWN_MISTAKES:
-        if high == _SMALL_RATIO and not _may_be_too_small(sample, revert_mistake):
+        if high == _SMALL_SIZE_RATIO and not _may_be_too_small(sample, revert_mistake):
             continue
         corrected_ratio = float(np.median(revert_mistake(sigma).max(axis=1) / spacing))
         if mistake == _NOT_SQUARED_TEXT and not _may_be_roots(sample):

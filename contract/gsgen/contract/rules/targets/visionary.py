@@ -13,7 +13,7 @@ from gsgen.contract.validation.rule import rule
 
 # The name of the viewer's target.
 TARGET = "visionary"
-_COLOR_WORDS = ("color", "sh", "rgb")
+_COLOR_OUTPUT_WORDS = ("color", "sh", "rgb")
 _COLOR_CHANNELS = (3, 4, 12, 27, 48)
 _SH_CHANNELS = 48
 
@@ -62,7 +62,9 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     candidates = [
         t.name
         for t in subject.graph.outputs
-        if any(word in t.name for word in _COLOR_WORDS) and t.dims and t.dims[-1] in _COLOR_CHANNELS
+        if any(word in t.name for word in _COLOR_OUTPUT_WORDS)
+        and t.dims
+        and t.dims[-1] in _COLOR_CHANNELS
     ]
     first_match = candidates[0] if candidates else None
     if tensor is not None and first_match != tensor.name:

@@ -10,7 +10,7 @@ from gsgen.contract.rules.values.range_diagnosis import diagnose_rgb
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.gates import APPEARANCE, COLORED_ROWS
+from gsgen.contract.validation.gates import APPEARANCE, COLORED_ROW_RULES
 from gsgen.contract.validation.rule import rule
 
 _COLOR_SLACK = 1e-2
@@ -25,7 +25,7 @@ _LARGE_COEFFICIENT = 10.0
 _MAX_LARGE_SHARE = 0.01
 
 
-@rule("GV012", Severity.ERROR, needs=COLORED_ROWS)
+@rule("GV012", Severity.ERROR, needs=COLORED_ROW_RULES)
 def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1], or in the declared range, in every drawn row.
 

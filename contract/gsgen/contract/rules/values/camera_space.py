@@ -11,7 +11,7 @@ from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
@@ -28,7 +28,7 @@ _MAX_VISIBLE_RATIO = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _SeenRows:
+class _RowsInCameras:
     """The Gaussians that a model shows to one camera.
 
     Attributes:
@@ -44,7 +44,7 @@ class _SeenRows:
     drawn: Bool[np.ndarray, " n"]
 
 
-def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _SeenRows | None:
+def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _RowsInCameras | None:
     subject, probe = probe_runs.subject, probe_runs.plan.probes[index]
     run = probe_runs.execution.runs[index] if index < len(probe_runs.execution.runs) else None
     declared, count = subject.declared_gaussians, subject.declared_count
@@ -53,7 +53,13 @@ def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _SeenRows | None:
         return None
     outputs = probe_runs.execution.samples[run.sample].outputs
     rows, live = outputs.get(declared.name), outputs.get(count.name)
-    if rows is None or rows.ndim != 2 or rows.shape[1] != ROW or live is None or not live.size:
+    if (
+        rows is None
+        or rows.ndim != 2
+        or rows.shape[1] != ROW_LENGTH
+        or live is None
+        or not live.size
+    ):
         return None
     space = subject.generator.space if subject.generator else None
     order = space.matrix_order if space else "column"
@@ -65,7 +71,7 @@ def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _SeenRows | None:
     drawn = np.asarray(rows[:, OPACITY] >= CULL_OPACITY)
     live_share = max(0, int(live.reshape(-1)[0])) / max(declared.capacity, 1)
     drawn[math.ceil(live_share * len(rows)) :] = False  # of many rows, a part was kept
-    return _SeenRows(
+    return _RowsInCameras(
         view=matrix(views[0][0].name),
         projection=lens,
         position=rows[:, POSITION].astype(np.float64),
@@ -73,7 +79,7 @@ def _read_seen_rows(probe_runs: ProbeRuns, index: int) -> _SeenRows | None:
     )
 
 
-def _isolated_views(probe_runs: ProbeRuns) -> list[_SeenRows]:
+def _isolated_views(probe_runs: ProbeRuns) -> list[_RowsInCameras]:
     """Return cameras and Gaussians of all model runs whose inputs differ in the camera alone."""
     plan = probe_runs.plan
     base, variants = plan.variants.get("view", (0, ()))
@@ -117,7 +123,7 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 def _follows_camera(
-    first: _SeenRows, second: _SeenRows, drawn: Bool[np.ndarray, " n"], space: str
+    first: _RowsInCameras, second: _RowsInCameras, drawn: Bool[np.ndarray, " n"], space: str
 ) -> bool:
     """Return whether the Gaussian centres of two model runs agree only in camera space."""
     local_positions = [_local_positions(seen_rows, space) for seen_rows in (first, second)]
@@ -136,7 +142,7 @@ def _follows_camera(
     )
 
 
-def _local_positions(seen_rows: _SeenRows, space: str) -> Float[np.ndarray, "n 3"] | None:
+def _local_positions(seen_rows: _RowsInCameras, space: str) -> Float[np.ndarray, "n 3"] | None:
     matrix = seen_rows.view
     if space == "clip space":
         if seen_rows.projection is None:

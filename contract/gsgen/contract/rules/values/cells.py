@@ -9,11 +9,18 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
 from gsgen.contract.spec.geometry import smallest_eigenvalue
-from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW, VISIBILITY
+from gsgen.contract.spec.layout import (
+    COVARIANCE,
+    CULL_OPACITY,
+    OPACITY,
+    POSITION,
+    ROW_LENGTH,
+    VISIBILITY,
+)
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.gates import CELLS, MANIFEST_PARSED
+from gsgen.contract.validation.gates import CELL_RULES, MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
 # A sigmoid in float16 may round up by one unit in the last place.
@@ -69,8 +76,8 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     dims = tensor.dims or ()
     rows = dims[0] if dims else None
     has_row_count = isinstance(rows, int) and rows > 0
-    if not (len(dims) == 2 and dims[1] == ROW and has_row_count):
-        expected = f"[C, {ROW}] with a fixed C"
+    if not (len(dims) == 2 and dims[1] == ROW_LENGTH and has_row_count):
+        expected = f"[C, {ROW_LENGTH}] with a fixed C"
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
@@ -116,7 +123,7 @@ def _live_cells(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     return np.asarray(first < emission.count)
 
 
-@rule("GV026", Severity.ERROR, needs=CELLS)
+@rule("GV026", Severity.ERROR, needs=CELL_RULES)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of the cells output is finite; float16 values are below the largest float16.
 
@@ -134,7 +141,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.rows(location, ~_finite_mask(cells), cells, expected, checked=len(cells))
 
 
-@rule("GV027", Severity.ERROR, needs=CELLS)
+@rule("GV027", Severity.ERROR, needs=CELL_RULES)
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of each cell (group of Gaussians), column 3, lies in [0, 1].
 
@@ -160,7 +167,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV028", Severity.ERROR, needs=CELLS)
+@rule("GV028", Severity.ERROR, needs=CELL_RULES)
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every visible cell (group of Gaussians) is positive semi-definite.
 
@@ -190,7 +197,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV029", Severity.WARNING, needs=(*CELLS, "GO010", "GO011"))
+@rule("GV029", Severity.WARNING, needs=(*CELL_RULES, "GO010", "GO011"))
 def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The Gaussians (rows) of a cell with visibility 0 have opacity 0.
 
@@ -216,7 +223,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV030", Severity.ERROR, needs=(*CELLS, "GO010", "GO011"))
+@rule("GV030", Severity.ERROR, needs=(*CELL_RULES, "GO010", "GO011"))
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of every cell without a live Gaussian (a row before the row count) is 0.
 
@@ -241,7 +248,7 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV031", Severity.WARNING, needs=CELLS)
+@rule("GV031", Severity.WARNING, needs=CELL_RULES)
 def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     """Every drawn Gaussian's centre is within two sizes of its cell (group) from the cell's centre.
 

@@ -9,7 +9,7 @@ from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import RUNNABLE
+from gsgen.contract.validation.gates import RUNNABLE_MODEL_RULES
 from gsgen.contract.validation.rule import rule
 
 
@@ -37,7 +37,7 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
             yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
 
 
-@rule("GV025", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*RUNNABLE, "GS004"))
+@rule("GV025", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*RUNNABLE_MODEL_RULES, "GS004"))
 def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """ONNX Runtime loads the model, and runs it with every probe (set of test inputs).
 

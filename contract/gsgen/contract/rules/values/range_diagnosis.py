@@ -14,7 +14,7 @@ _MAX_PERCENT = 100.0
 # Natural logarithms of scales, or of their squares, that scenes have.
 _LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
 # Logarithms of lengths below one unit are negative, as are nearly all of a scene.
-_MOSTLY_SHARE = 0.9
+_MAJORITY_SHARE = 0.9
 # Fewer values than this fit any mistake by chance.
 _MIN_VALUES = 8
 
@@ -64,7 +64,7 @@ def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
     """
     if len(values) < _MIN_VALUES:
         return ""
-    most_negative = bool(np.mean(values < 0) > _MOSTLY_SHARE)
+    most_negative = bool(np.mean(values < 0) > _MAJORITY_SHARE)
     if most_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
         return "; these look like logarithms of scales: apply exp, then square"
     if most_negative:

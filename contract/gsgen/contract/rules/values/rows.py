@@ -12,7 +12,7 @@ from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
-from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE, OPACITY, OPACITY_SLACK
+from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE_SHARE, OPACITY, OPACITY_SLACK
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
@@ -131,9 +131,9 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
         Location(rows.emission.rows_label, "opacity"),
         invisible_rows,
         rows.opacity,
-        f"at least 1/255 in more than {100 * (1 - MOSTLY_INVISIBLE):.0f} % of live rows",
+        f"at least 1/255 in more than {100 * (1 - MOSTLY_INVISIBLE_SHARE):.0f} % of live rows",
         checked=rows.live_rows,
-        min_fraction=MOSTLY_INVISIBLE,
+        min_fraction=MOSTLY_INVISIBLE_SHARE,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from gsgen.contract.spec.fields.json_schema import Hint
-from gsgen.contract.spec.fields.values import AboveZero, Name, Positive, RoleName
+from gsgen.contract.spec.fields.values import Name, Positive, PositiveFloat, RoleName
 
 # The rounding error of a time, as a share of a frame.
 _FRAME_ROUNDING = 1e-6
@@ -54,7 +54,7 @@ class Input:
     ] = None
     label: Annotated[str | None, Hint(text="What a user interface calls it.")] = None
     joints: Annotated[tuple[Joint, ...], Hint(text="Pose: one joint for each row, in order.")] = ()
-    rate: Annotated[AboveZero | None, Hint(text="Audio: samples per second.")] = None
+    rate: Annotated[PositiveFloat | None, Hint(text="Audio: samples per second.")] = None
     window: Annotated[
         Positive | None, Hint(text="Audio, mel: samples under the window of one column.")
     ] = None

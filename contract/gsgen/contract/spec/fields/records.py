@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.scene import Tolerances
-from gsgen.contract.spec.fields.values import AboveZero, Fraction, Name, RowNumber, Sha256
+from gsgen.contract.spec.fields.values import Fraction, Name, PositiveFloat, RowNumber, Sha256
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,9 @@ class ReferenceImage:
     ]
     focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
     center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels from the corner.")]
-    psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
+    psnr: Annotated[PositiveFloat, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = (
+        40.0
+    )
     from_: Annotated[
         Literal["model", "source"],
         Hint(text="`source`: drawn by the training code. `model`: by this model, as it was then."),

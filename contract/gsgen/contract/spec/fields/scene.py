@@ -10,7 +10,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.spec.fields.json_schema import Hint
-from gsgen.contract.spec.fields.values import AboveZero, Fraction
+from gsgen.contract.spec.fields.values import Fraction, PositiveFloat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +35,9 @@ class Space:
         tuple[float, float, float] | None,
         Hint(text="Where the local origin lies in the author's world, in units, as float64."),
     ] = None
-    metres_per_unit: Annotated[AboveZero | None, Hint(text="Length of one unit, in metres.")] = None
+    metres_per_unit: Annotated[
+        PositiveFloat | None, Hint(text="Length of one unit, in metres.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +84,11 @@ class WeightedSum:
 
     background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[
-        AboveZero | None,
+        PositiveFloat | None,
         Hint(text="Depth at which weights reach 0, in units of length; absent: they do not fall."),
     ] = None
     opacity_divisor: Annotated[
-        AboveZero, Hint(text="What opacity is divided by before it takes light away.")
+        PositiveFloat, Hint(text="What opacity is divided by before it takes light away.")
     ] = 1.0
 
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.options import AsJson, Config, FailOn, LevelName, TargetName
+from gsgen.cli.options import Config, FailOn, LevelName, PrintJsonOption, TargetName
 from gsgen.cli.output import echo_error, echo_text
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gsgen.conformance.evidence import Dumps
+    from gsgen.conformance.evidence import EvidenceDumps
     from gsgen.conformance.expected import ExpectedFailure
     from gsgen.conformance.summary import Entry
     from gsgen.contract.validation.settings import Settings
@@ -47,13 +47,13 @@ def conformance(
         Path | None, typer.Option(help="Folder for inputs and outputs of failing probes (.npz).")
     ] = None,
     format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Run conformance suites on each MODEL, and print a command that reproduces each failure.
 
     Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
-    from gsgen.conformance.evidence import Dumps
+    from gsgen.conformance.evidence import EvidenceDumps
     from gsgen.conformance.expected import read_expected
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
@@ -66,7 +66,7 @@ def conformance(
     settings = make_settings(registry, level=level, target=target, fail_on=fail_on, config=config)
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
-    dumps = Dumps(dump) if dump else None
+    dumps = EvidenceDumps(dump) if dump else None
     entries = [_test_generators(model, settings, suites, expected, dumps) for model in files]
     _print(entries, Format.JSON if as_json else format)
     _refuse_unused_suites(entries, settings, suites)
@@ -79,7 +79,7 @@ def _test_generators(
     settings: "Settings",
     suites: "list[str]",
     expected: "Sequence[ExpectedFailure]",
-    dumps: "Dumps | None",
+    dumps: "EvidenceDumps | None",
 ) -> "Entry":
     from gsgen.cli.progress import progress
     from gsgen.conformance.run import run_model

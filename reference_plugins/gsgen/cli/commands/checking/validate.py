@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gsgen.cli.options import AsJson, Config, FailOn, LevelName, Memory, TargetName, Timeout
+from gsgen.cli.options import (
+    Config,
+    FailOn,
+    LevelName,
+    Memory,
+    PrintJsonOption,
+    TargetName,
+    Timeout,
+)
 from gsgen.cli.output import echo_commands, echo_error, echo_text
 from gsgen.contract.errors import ExitCode, UnknownName
 
@@ -44,7 +52,7 @@ RequireRules = Annotated[
     list[str] | None,
     typer.Option(help="Fail unless this rule was checked; repeat or separate by commas."),
 ]
-SeverityOf = Annotated[
+SeverityOption = Annotated[
     list[str] | None,
     typer.Option(
         help="RULE=SEVERITY, in place of the rule's own severity; repeatable.", metavar="ID=LEVEL"
@@ -95,12 +103,12 @@ def validate(
     level: LevelName = None,
     target: TargetName = None,
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
     fail_on: FailOn = None,
     ignore: IgnoreOption = None,
     only: OnlyOption = None,
     require_rules: RequireRules = None,
-    severity: SeverityOf = None,
+    severity: SeverityOption = None,
     config: Config = None,
     baseline: BaselineFile = None,
     output: Output = None,

@@ -16,7 +16,7 @@ from gsgen.cli.commands.drawing.options import (
     ModelTimeout,
     Provider,
     Sizes,
-    Trust,
+    TrustOption,
     model_limits,
     read_tracks,
 )
@@ -101,7 +101,7 @@ def bake(
     ] = None,
     size: Sizes = None,
     provider: Provider = "cpu",
-    trust: Trust = False,
+    trust: TrustOption = False,
     timeout: ModelTimeout = None,
     memory: ModelMemory = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,

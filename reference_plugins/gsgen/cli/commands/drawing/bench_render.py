@@ -32,10 +32,10 @@ def bench_render(
     rasteriser: options.RasteriserName = "auto",
     size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
-    trust: options.Trust = False,
+    trust: options.TrustOption = False,
     timeout: options.ModelTimeout = None,
     memory: options.ModelMemory = None,
-    as_json: options.AsJson = False,
+    as_json: options.PrintJsonOption = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
@@ -53,7 +53,7 @@ def bench_render(
     from gsgen.cli.progress import clear, progress
     from gsgen.contract.process.atomic_files import refuse_model
     from gsgen.runtime.playback.frame_cost import measure
-    from gsgen.runtime.playback.frame_sequence import FULL_TURN, FrameSequence
+    from gsgen.runtime.playback.frame_sequence import FULL_TURN_DEGREES, FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
@@ -68,7 +68,9 @@ def bench_render(
     with open_scenes(scenes, provider=provider, size=symbols, limits=limits) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
-        sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)
+        sequence = FrameSequence(
+            sources, view, frames=frames, turn=FULL_TURN_DEGREES, renderer=renderer
+        )
         for note in sequence.notes:
             echo(f"note: {note}", err=True)
         cost = measure(sequence, progress)

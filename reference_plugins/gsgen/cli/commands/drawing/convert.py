@@ -22,10 +22,10 @@ from gsgen.cli.commands.drawing.convert_edits import (
     Sphere,
     TranslateOption,
     WhereOption,
-    WithinBox,
+    WithinBoxOption,
     edits_in_order,
 )
-from gsgen.cli.commands.drawing.options import AsJson
+from gsgen.cli.commands.drawing.options import PrintJsonOption
 from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
@@ -95,7 +95,7 @@ def convert(
     translate: TranslateOption = None,
     rotate: RotateOption = None,
     scale: Scale = None,
-    box: WithinBox = None,
+    box: WithinBoxOption = None,
     sphere: Sphere = None,
     where: WhereOption = None,
     drop_floaters: DropFloaters = None,
@@ -107,7 +107,7 @@ def convert(
     spz_axes: SpzAxes = None,
     encoding: Encoding = None,
     force: ForceOption = False,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Write the splats of SOURCE to TARGET in another format, and print the losses.
 

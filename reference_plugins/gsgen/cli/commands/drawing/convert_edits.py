@@ -30,7 +30,9 @@ RotateOption = Annotated[
     _edit_option("Turn about the axes x, y, z in this order, in degrees.", "rotate"),
 ]
 Scale = Annotated[list[str] | None, _edit_option("Scale about the origin.", "scale")]
-WithinBox = Annotated[list[str] | None, _edit_option("Keep the splats between two corners.", "box")]
+WithinBoxOption = Annotated[
+    list[str] | None, _edit_option("Keep the splats between two corners.", "box")
+]
 Sphere = Annotated[list[str] | None, _edit_option("Keep the splats in a sphere.", "sphere")]
 WhereOption = Annotated[
     list[str] | None,

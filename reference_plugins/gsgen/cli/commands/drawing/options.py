@@ -2,7 +2,6 @@
 
 __all__ = [
     "Antialias",
-    "AsJson",
     "Axis",
     "Compact",
     "FieldOfView",
@@ -17,13 +16,14 @@ __all__ = [
     "Panorama",
     "Poses",
     "Post",
+    "PrintJsonOption",
     "Provider",
     "RasteriserName",
     "RenderCamera",
     "Scenes",
     "ShDegree",
     "Sizes",
-    "Trust",
+    "TrustOption",
     "Width",
     "mode_of",
     "model_limits",
@@ -53,7 +53,7 @@ Antialias = Annotated[
     Literal["classic", "mip"] | None,
     typer.Option(help="Antialiasing of the training. [default: the manifest's, or classic]"),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+PrintJsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Axis = Annotated[
     Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
     typer.Option(help="Axis that points up. [default: the manifest's, or -y]"),
@@ -183,7 +183,7 @@ Sizes = Annotated[
     list[str] | None,
     typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension of a model; repeatable."),
 ]
-Trust = Annotated[
+TrustOption = Annotated[
     bool,
     typer.Option(
         "--trust", help="Run models in this process, without limits: your own, not a stranger's."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gsgen.cli.commands.drawing.options import AsJson
+from gsgen.cli.commands.drawing.options import PrintJsonOption
 from gsgen.cli.options import Config, Memory, Timeout
 from gsgen.cli.output import echo, echo_json
 from gsgen.contract._safe_text import for_shell
@@ -83,7 +83,7 @@ def references(
     config: Config = None,
     timeout: Timeout = None,
     memory: Memory = None,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Write a copy of MODEL with reference images, drawn by MODEL or by its training code.
 

@@ -105,10 +105,10 @@ def render(
     provider: options.Provider = "cpu",
     wait: WaitOption = 30.0,
     allow_missing: AllowMissing = False,
-    trust: options.Trust = False,
+    trust: options.TrustOption = False,
     timeout: options.ModelTimeout = None,
     memory: options.ModelMemory = None,
-    as_json: options.AsJson = False,
+    as_json: options.PrintJsonOption = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Draw SCENES: splat files and meshes, and generators, which run for every frame.

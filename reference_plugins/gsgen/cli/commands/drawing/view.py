@@ -49,13 +49,15 @@ FramesPerSecond = Annotated[
     float | None,
     typer.Option(help="Steps per second. [default: the manifest's, or 25]", min=0.1, max=1000),
 ]
-Play = Annotated[bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")]
+PlayOption = Annotated[
+    bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")
+]
 Web = Annotated[bool, typer.Option("--web", help="Show the scenes in a browser.")]
 Port = Annotated[
     int,
     typer.Option(help="Port of the page, with --web; 0 takes one that is free.", min=0, max=65535),
 ]
-AsJson = Annotated[
+PrintJsonOption = Annotated[
     bool,
     typer.Option(
         "--json", help="Print events as JSON, one a line: opened, picture, served, closed."
@@ -82,7 +84,7 @@ def view(
     inputs: options.Inputs = None,
     frames: Frames = None,
     fps: FramesPerSecond = None,
-    play: Play = True,
+    play: PlayOption = True,
     sh_degree: options.ShDegree = None,
     antialias: options.Antialias = None,
     rasteriser: options.RasteriserName = "auto",
@@ -91,13 +93,13 @@ def view(
     size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
-    trust: options.Trust = False,
+    trust: options.TrustOption = False,
     timeout: options.ModelTimeout = None,
     memory: options.ModelMemory = None,
     web: Web = False,
     ort: options.OrtFolder = None,
     port: Port = 0,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.commands.drawing.options import ModelMemory, Trust, model_limits
-from gsgen.cli.model_options import AsJson, Sizes, exit_at_error, sizes_of
+from gsgen.cli.commands.drawing.options import ModelMemory, TrustOption, model_limits
+from gsgen.cli.model_options import PrintJsonOption, Sizes, exit_at_error, sizes_of
 from gsgen.cli.output import echo_json
 from gsgen.contract._safe_text import for_json, printable
 from gsgen.contract.errors import ExitCode
@@ -45,8 +45,8 @@ def bench(
         float, typer.Option(help="Time limit in seconds for one model on one provider.", min=1)
     ] = 300,
     memory: ModelMemory = None,
-    trust: Trust = False,
-    as_json: AsJson = False,
+    trust: TrustOption = False,
+    as_json: PrintJsonOption = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,

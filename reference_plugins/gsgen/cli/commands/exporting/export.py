@@ -27,7 +27,7 @@ of the current folder can be imported), or one of the methods below.
 """
 
 
-class _Targets(TyperGroup):
+class _TargetCommands(TyperGroup):
     """The command group of `gsgen export`: all installed plugins, and any ``module:factory``."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -144,7 +144,7 @@ def _plugin_command(extension: Extension) -> Any:
 
 
 app = typer.Typer(
-    cls=_Targets,
+    cls=_TargetCommands,
     help=_HELP_TEXT,
     no_args_is_help=True,
     subcommand_metavar="TARGET -o OUTPUT [OPTIONS]",

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.cli.model_options import (
-    AsJson,
     DryRun,
     ModelFile,
+    PrintJsonOption,
     Sizes,
     copy_of,
     exit_at_error,
@@ -41,7 +41,7 @@ def fix(
         typer.Option(help="Actual order of the SH, which are then reordered; never guessed."),
     ] = None,
     dry_run: DryRun = False,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Write a repaired copy of MODEL, and list the changes.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.model_options import AsJson, DryRun, copy_of, exit_at_error, first_names
+from gsgen.cli.model_options import DryRun, PrintJsonOption, copy_of, exit_at_error, first_names
 from gsgen.cli.output import echo, echo_json
 from gsgen.cli.progress import progress
 
@@ -37,7 +37,7 @@ def float16(
         float, typer.Option(help="Time limit in seconds for running the copy.", min=0.1)
     ] = 120.0,
     dry_run: DryRun = False,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Write a float16 copy of MODEL; nodes whose rounding error is too large stay float32.
 

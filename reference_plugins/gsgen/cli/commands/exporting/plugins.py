@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gsgen.cli.model_options import AsJson
+from gsgen.cli.model_options import PrintJsonOption
 from gsgen.cli.output import echo, echo_json
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
@@ -18,7 +18,7 @@ def plugins(
         list[str] | None,
         typer.Argument(metavar="[NAMES]…", help="List these plugins only.", show_default="all"),
     ] = None,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """List the installed plugins: method, model inputs, and the files that each reads.
 

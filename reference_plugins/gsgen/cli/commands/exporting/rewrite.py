@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.cli.model_options import (
-    AsJson,
     DryRun,
+    PrintJsonOption,
     Sizes,
     copy_of,
     exit_at_error,
@@ -53,7 +53,7 @@ def rewrite(
     listed: Annotated[
         bool, typer.Option("--list", help="List the passes in the order in which they run.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: PrintJsonOption = False,
 ) -> None:
     """Rewrite MODEL's graph for a target GPU, and verify that it computes the same outputs.
 

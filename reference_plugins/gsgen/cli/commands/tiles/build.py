@@ -40,7 +40,7 @@ _QualityCount = Annotated[
 _Codec = Annotated[
     Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
 ]
-_Implicit = Annotated[
+_ImplicitOption = Annotated[
     bool, typer.Option("--implicit", help="Write an implicit octree, in subtrees.")
 ]
 _Transform = Annotated[
@@ -75,7 +75,7 @@ def build(
     quality: _QualityCount = 1,
     codec: _Codec = "spz",
     *,
-    implicit: _Implicit = False,
+    implicit: _ImplicitOption = False,
     transform: _Transform = None,
     lon: _Longitude = None,
     lat: _Latitude = None,

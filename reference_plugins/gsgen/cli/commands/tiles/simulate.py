@@ -19,7 +19,7 @@ class PolicyName(StrEnum):
     REACTIVE = "reactive"
     PREDICTIVE = "predictive"
     ORACLE = "oracle"
-    ALL = "all"
+    ALL_POLICIES = "all"
 
 
 TilesetArgument = Annotated[
@@ -107,7 +107,9 @@ def simulate(
     with store:
         tree = TileTree.of_tileset(load_tileset(store, index, name=tileset), store)
     policies = (
-        client.PREFETCH_POLICIES if policy is PolicyName.ALL else (client.policy_named(policy),)
+        client.PREFETCH_POLICIES
+        if policy is PolicyName.ALL_POLICIES
+        else (client.policy_named(policy),)
     )
     with confined or nullcontext():
         make_predictor = predictor_maker(predictor, confined)

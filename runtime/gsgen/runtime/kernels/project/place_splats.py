@@ -1,6 +1,6 @@
 """Gives the Gaussians of a depth range consecutive indices, in the order of their rows."""
 
-__all__ = ["PAGE_BYTES", "PLACE_BLOCK", "PlaceSplats"]
+__all__ = ["PAGE_BYTES", "PLACEMENT_BLOCK_ROWS", "PlaceSplatsKernel"]
 
 from typing import Final, final
 
@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
 _ROWS_PER_INVOCATION: Final = 16  # of an invocation
-PLACE_BLOCK: Final = THREADS_PER_WORKGROUP * _ROWS_PER_INVOCATION
+PLACEMENT_BLOCK_ROWS: Final = THREADS_PER_WORKGROUP * _ROWS_PER_INVOCATION
 """Rows of a workgroup."""
 
 PAGE_BYTES: Final = 256
@@ -20,7 +20,7 @@ PAGE_BYTES: Final = 256
 
 
 @final
-class PlaceSplats:
+class PlaceSplatsKernel:
     """The kernels of ``place_splats.wgsl``, which index the splats of a depth slab consecutively.
 
     Args:
@@ -63,7 +63,7 @@ class PlaceSplats:
         """
         part = (page_ends, slot * PAGE_BYTES, 2 * PAGE_BYTES)
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        groups = (-(-page.capacity // PLACE_BLOCK), 1, 1)
+        groups = (-(-page.capacity // PLACEMENT_BLOCK_ROWS), 1, 1)
         return [
             Step(
                 kernel,

@@ -1,6 +1,6 @@
 """Counts the depth sort keys of Gaussians by their leading bits."""
 
-__all__ = ["BIN_COUNT", "TallyKeys"]
+__all__ = ["BIN_COUNT", "CountKeysKernel"]
 
 from typing import Final, final
 
@@ -15,7 +15,7 @@ BIN_COUNT: Final = 1 << 12
 
 
 @final
-class TallyKeys:
+class CountKeysKernel:
     """The kernel ``tally_keys.wgsl``, which counts depth sort keys by their leading bits."""
 
     def __init__(self, device: Device) -> None:

@@ -10,8 +10,8 @@ from importlib.resources.abc import Traversable
 from gsgen.contract.spec import layout
 from gsgen.runtime.scene.camera import DEFAULT_DILATION
 
-_INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
-_REPEAT_PATTERN = re.compile(  # without another inside
+_INCLUDE_PATTERN = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
+_SHADER_REPEAT_PATTERN = re.compile(  # without another inside
     r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
 )
 
@@ -35,7 +35,7 @@ MIN_EIGENVALUE_GAP = 0.1
 POLE = 1e-3
 """Lower bound of the cosine of the latitude in a panorama's Jacobian."""
 
-_SHARED_CONSTANTS: dict[str, int | float | bool] = {
+_SHADER_CONSTANTS: dict[str, int | float | bool] = {
     "ABSENT": NO_ID,
     "CULL_OPACITY": layout.CULL_OPACITY,
     "DILATION": DEFAULT_DILATION,
@@ -65,10 +65,10 @@ def source(name: str, *, wide_words: bool = False, **constants: int | float | bo
         constants: Declared before the text as ``const NAME``, besides those that kernels share;
             integers are u32, floats f32.
     """
-    all_constants = _SHARED_CONSTANTS | constants
+    all_constants = _SHADER_CONSTANTS | constants
     lines = [_declaration(key, value) for key, value in all_constants.items()]
     text = _include_source(name, {name}, wide_words=wide_words)
-    while (match := _REPEAT_PATTERN.search(text)) is not None:
+    while (match := _SHADER_REPEAT_PATTERN.search(text)) is not None:
         text = text[: match.start()] + _expand_repeat(match, all_constants) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
@@ -84,7 +84,7 @@ def _include_source(name: str, included_names: set[str], *, wide_words: bool) ->
         return _include_source(included_name, included_names, wide_words=wide_words)
 
     file = "wide_words" if wide_words and name == "words" else name
-    return _INCLUDE.sub(replacement, _shader_files()[file])
+    return _INCLUDE_PATTERN.sub(replacement, _shader_files()[file])
 
 
 @cache

@@ -18,7 +18,7 @@ MAX_COUNT: Final = 0x7FFFFFFF
 _THREADS_PER_WORKGROUP: Final = 256
 _NUMBERS_PER_THREAD: Final = 8
 _BLOCK_NUMBERS: Final = _THREADS_PER_WORKGROUP * _NUMBERS_PER_THREAD
-_COUNTER_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
+_SCAN_COUNTER_CODES: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 
 @final
@@ -96,7 +96,7 @@ class Scan:
         receives the sum of all: VISIBLE, PAIRS or None.
         """
         uniform = self._device.uniform("scan", 16)
-        uniform_words = np.array([source, block, rows, _COUNTER_EFFECTS[total]], np.uint32)
+        uniform_words = np.array([source, block, rows, _SCAN_COUNTER_CODES[total]], np.uint32)
         self._device.write(uniform, uniform_words)
         # Case 1: one workgroup scans all, where more would not be faster.
         blocks = -(-numbers.size // (4 * _BLOCK_NUMBERS))

@@ -14,13 +14,13 @@ from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, S
 _INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
 _MAX_WORKGROUPS: Final = 32
 _MIN_WORKGROUPS: Final = 8
-_COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
+_MAX_RUN_COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
 
 
 def run_count(tiles: int) -> int:
     """Return into how many parts the sorted splats are divided to be listed by image tile."""
     return _INVOCATIONS * int(
-        np.clip(_COUNTERS // (_INVOCATIONS * tiles), _MIN_WORKGROUPS, _MAX_WORKGROUPS)
+        np.clip(_MAX_RUN_COUNTERS // (_INVOCATIONS * tiles), _MIN_WORKGROUPS, _MAX_WORKGROUPS)
     )
 
 

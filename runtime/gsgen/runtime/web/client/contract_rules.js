@@ -158,10 +158,10 @@ static fields = [["handedness", null, () => "right"], ["up", null, () => "-y"], 
 class Candidate$manifest_inference extends py.Record {
 static fields = [["manifest", null, null], ["guesses", null, null]];
 }
-class Parsed$manifest_io extends py.Record {
-static fields = [["manifest", () => GeneratorManifest$manifest, null], ["complaints", () => Complaint$manifest_io, () => []], ["version", null, null], ["is_newer_version", null, () => false]];
+class ParsedManifest$manifest_io extends py.Record {
+static fields = [["manifest", () => GeneratorManifest$manifest, null], ["complaints", () => ManifestComplaint$manifest_io, () => []], ["version", null, null], ["is_newer_version", null, () => false]];
 }
-class Complaint$manifest_io extends py.Record {
+class ManifestComplaint$manifest_io extends py.Record {
 static fields = [["cause", null, null], ["where", null, null], ["actual", null, null], ["expected", null, null]];
 }
 class SchemaFault$schema_check extends py.Record {
@@ -1230,7 +1230,7 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "a name that starts 
 function* visionary_finds_color$visionary(subject) {
   let actual, candidates, first_match, tensor;
 tensor = subject.appearance;
-candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_WORDS$18)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$19, py.item(t.dims, (-1)))))) yield t.name; })()];
+candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_OUTPUT_WORDS$18)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$19, py.item(t.dims, (-1)))))) yield t.name; })()];
 first_match = (py.bool(candidates) ? py.item(candidates, 0) : null);
 if (((tensor != null) && (!py.eq(first_match, tensor.name)))) {
 actual = (py.bool(first_match) ? `the viewer takes ${py.str(py.repr(first_match))}` : "the viewer finds none");
@@ -1769,7 +1769,7 @@ return _failed_parse$manifest_io("syntax", "", _shorten$manifest_io(text), "fewe
 }
 }
 function _failed_parse$manifest_io(cause, where, actual, expected) {
-return new Parsed$manifest_io(null, [new Complaint$manifest_io(cause, where, actual, expected)]);
+return new ParsedManifest$manifest_io(null, [new ManifestComplaint$manifest_io(cause, where, actual, expected)]);
 }
 function _shorten$manifest_io(value) {
   let text;
@@ -1795,8 +1795,8 @@ actual = _shorten$manifest_io(py.get(document, "contract", "nothing"));
 return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
 if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$34, 0)))) {
-complaint = new Complaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$34, 0))}`);
-return new Parsed$manifest_io(null, [complaint], version);
+complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$34, 0))}`);
+return new ParsedManifest$manifest_io(null, [complaint], version);
 }
 return _parse_body$manifest_io(document, version);
 }
@@ -1847,10 +1847,10 @@ faults = [...(function* () { for (const fault of py.iter(faults)) if ((!py.eq(fa
 }
 complaints = py.list((function* () { for (const fault of py.iter(py.sorted(faults, _fault_path$manifest_io))) yield _complaint_from_fault$manifest_io(fault); })());
 if (py.bool(complaints)) {
-return new Parsed$manifest_io(null, complaints, version, is_newer_version);
+return new ParsedManifest$manifest_io(null, complaints, version, is_newer_version);
 }
 manifest = py.fromJson(manifest_type$manifest(kind), document);
-return new Parsed$manifest_io(manifest, [], version, is_newer_version);
+return new ParsedManifest$manifest_io(manifest, [], version, is_newer_version);
 }
 function upgrade$upgrades(document, version) {
   let major, minor;
@@ -1996,19 +1996,19 @@ where = py.list((function* () { for (const part of py.iter(fault.absolute_path))
 expected = (py.isinstance(fault.schema, py.dict) ? py.get(fault.schema, "description") : null);
 if ((py.eq(fault.validator, "required"))) {
 missing = py.item(fault.message.split("'"), 1);
-return new Complaint$manifest_io("schema", where, `no field ${py.str(py.repr(missing))}`, `${py.str(py.repr(missing))} to be present`);
+return new ManifestComplaint$manifest_io("schema", where, `no field ${py.str(py.repr(missing))}`, `${py.str(py.repr(missing))} to be present`);
 }
 if ((py.eq(fault.validator, "additionalProperties"))) {
 known = py.list(py.get(fault.schema, "properties", py.dict([]))).join(", ");
 unmatched_entries = py.list((function* () { for (const name of py.iter(fault.instance)) if (py.bool(_is_unknown$manifest_io(name, fault))) yield py.repr(name); })()).join(", ");
-return new Complaint$manifest_io("schema", where, _shorten$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
+return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(unmatched_entries), `only the fields ${py.str(known)}`);
 }
 if ((py.eq(fault.validator, "enum"))) {
 options = py.list((function* () { for (const option of py.iter(fault.validator_value)) yield py.str(option); })()).join(", ");
-return new Complaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), `one of ${py.str(options)}`);
+return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), `one of ${py.str(options)}`);
 }
 detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
-return new Complaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
+return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
 }
 function _is_unknown$manifest_io(name, fault) {
   let known, patterns;
@@ -2099,7 +2099,7 @@ const ROTATION_ROLES$14 = ["pose", "root_rotation"];
 const _SOUND_FIELDS$15 = ["rate", "window", "hop"];
 const COLUMN_MEANINGS$16 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
 const APPEARANCE_CHANNELS$17 = py.dict([["sh", [3, 12, 27, 48]], ["rgb", [3, 4]]]);
-const _COLOR_WORDS$18 = ["color", "sh", "rgb"];
+const _COLOR_OUTPUT_WORDS$18 = ["color", "sh", "rgb"];
 const _COLOR_CHANNELS$19 = [3, 4, 12, 27, 48];
 const STATE_SIZES$20 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
 const CONTROL_FLOW$21 = py.set(["If", "Loop", "Scan"]);

@@ -15,14 +15,14 @@ from gsgen.sdk.binding.providers.errors import RunFailed
 
 Message = dict[str, Any]
 
-_LENGTH: Final = struct.Struct("<I")
+_LENGTH_STRUCT: Final = struct.Struct("<I")
 _MAX_BYTES: Final = 64 << 20  # of a message; the names of a million nodes take less
 
 
 def send(channel: socket.socket, message: Message, descriptors: Sequence[int] = ()) -> None:
     """Send a message, and descriptors of files that the receiver gets copies of."""
     data = json.dumps(message, separators=(",", ":")).encode()
-    data = _LENGTH.pack(len(data)) + data
+    data = _LENGTH_STRUCT.pack(len(data)) + data
     sent = socket.send_fds(channel, [data], descriptors) if descriptors else 0
     channel.sendall(data[sent:])
 
@@ -38,11 +38,11 @@ def receive(channel: socket.socket, descriptors: int = 0) -> tuple[Message | Non
         TimeoutError: The time is over.
         RunFailed: The message is not one of ours.
     """
-    head, files, *_ = socket.recv_fds(channel, _LENGTH.size, descriptors)
-    head += _read(channel, _LENGTH.size - len(head)) if head else b""
-    if len(head) < _LENGTH.size:
+    head, files, *_ = socket.recv_fds(channel, _LENGTH_STRUCT.size, descriptors)
+    head += _read(channel, _LENGTH_STRUCT.size - len(head)) if head else b""
+    if len(head) < _LENGTH_STRUCT.size:
         return None, files
-    (size,) = _LENGTH.unpack(head)
+    (size,) = _LENGTH_STRUCT.unpack(head)
     data = _read(channel, size) if size <= _MAX_BYTES else b""
     if len(data) < size <= _MAX_BYTES:
         return None, files

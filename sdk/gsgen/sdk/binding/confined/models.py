@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self, final
 
-from gsgen.contract.errors import GsgenError, HostFailed, ModelUnreadable
+from gsgen.contract.errors import GsgenError, HostProcessFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files
 from gsgen.contract.model.model_file import ModelFile, open_model
 from gsgen.contract.process.child_status import death_of
@@ -59,7 +59,7 @@ class ConfinedModels:
         has_gpu: bool = False,
     ) -> None:
         if not CAN_CONFINE:
-            raise HostFailed("this system cannot run models in a confined process")
+            raise HostProcessFailed("this system cannot run models in a confined process")
         self.limits = limits = limits or Limits(seconds=FRAME_SECONDS)
         self._lock = threading.Lock()
         self._children: list[_Child] = []
@@ -122,7 +122,7 @@ class _Child:
                 )
             except OSError as error:
                 message = f"no process can be started for the model: {error.strerror}"
-                raise HostFailed(message) from error
+                raise HostProcessFailed(message) from error
         job = {
             "readable": [str(path) for path in self._readable],
             "memory": self.limits.memory,
@@ -170,7 +170,7 @@ class _Child:
         try:
             message, _ = receive(self._control)
         except TimeoutError:
-            self.end(HostFailed(f"no process for models starts within {_START_SECONDS:g} s"))
+            self.end(HostProcessFailed(f"no process for models starts within {_START_SECONDS:g} s"))
             message = None
         except OSError:
             message = None
@@ -207,12 +207,12 @@ class _Child:
         status, log = self._process.returncode, self._log_text
         if not self._is_ready:
             lines = log.strip().splitlines()[-1:] or [f"exit status {status}"]
-            return HostFailed(f"the process for models does not start: {lines[0][:300]}")
+            return HostProcessFailed(f"the process for models does not start: {lines[0][:300]}")
         death = death_of(status, log, self.limits)
         is_of_host = death.stage == "host"
         if death.stage in ("memory", "crash"):
             is_of_host = inherited_memory_limit() < self.limits.memory
-        kind = HostFailed if is_of_host else RunFailed
+        kind = HostProcessFailed if is_of_host else RunFailed
         return kind(f"the process that runs the model ended: {death.message}", where=where)
 
 
@@ -255,7 +255,7 @@ class Channel:
 
         Raises:
             RunFailed: The time or memory limit is reached, or ONNX Runtime failed.
-            HostFailed: The machine ended the process.
+            HostProcessFailed: The machine ended the process.
             GsgenError: The session cannot be opened.
         """
         self._socket.settimeout(self._child.limits.seconds)

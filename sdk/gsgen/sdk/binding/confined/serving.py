@@ -21,7 +21,7 @@ from gsgen.contract.process.limits import (
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.sdk.binding.bound_session import translate_error
 from gsgen.sdk.binding.confined.messages import Message, message_of, receive, send
-from gsgen.sdk.binding.confined.shared_arrays import ArrayPlace, SharedMemory
+from gsgen.sdk.binding.confined.shared_arrays import SharedArraySlot, SharedMemory
 from gsgen.sdk.binding.model_facts import read_model_facts
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed
@@ -127,7 +127,7 @@ class _Session:
         }
 
     def _place(self, buffer: Any) -> list[Any]:
-        place: ArrayPlace = self._shared.place_of(buffer.host)
+        place: SharedArraySlot = self._shared.place_of(buffer.host)
         return [place.offset, list(place.shape), place.dtype.name]
 
     def _answer(self, session: WarmSession, message: Message) -> Message:

@@ -13,7 +13,7 @@ from gsgen.sdk.binding.bound_session import TensorSpec
 from gsgen.sdk.binding.buffers import Buffer, read_only, same_bits
 from gsgen.sdk.binding.confined.messages import Message
 from gsgen.sdk.binding.confined.models import Channel, ConfinedModels
-from gsgen.sdk.binding.confined.shared_arrays import ArrayPlace
+from gsgen.sdk.binding.confined.shared_arrays import SharedArraySlot
 from gsgen.sdk.binding.model_facts import ModelFacts
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed
@@ -95,7 +95,7 @@ class ConfinedSession:
         return {
             name: _SharedBuffer(
                 self._channel.shared.array_at(
-                    ArrayPlace(int(offset), tuple(map(int, shape)), np.dtype(str(dtype)))
+                    SharedArraySlot(int(offset), tuple(map(int, shape)), np.dtype(str(dtype)))
                 )
             )
             for name, (offset, shape, dtype) in places.items()

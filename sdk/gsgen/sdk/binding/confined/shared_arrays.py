@@ -1,6 +1,6 @@
 """Memory that a program and its confined child process share, and arrays in it."""
 
-__all__ = ["ArrayPlace", "SharedMemory", "create_memory_file"]
+__all__ = ["SharedArraySlot", "SharedMemory", "create_memory_file"]
 
 import fcntl
 import math
@@ -11,14 +11,14 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gsgen.contract.errors import HostFailed
+from gsgen.contract.errors import HostProcessFailed
 from gsgen.sdk.binding.buffers import HostMemory
 from gsgen.sdk.binding.providers.errors import RunFailed
 
 _ALIGNMENT: Final = 4096  # bytes; a page, which is more than any kernel needs
 
 
-class ArrayPlace(NamedTuple):
+class SharedArraySlot(NamedTuple):
     """Where an array lies in shared memory: its first byte, shape and dtype."""
 
     offset: int
@@ -33,7 +33,7 @@ def create_memory_file(size: int) -> int:
     killed. Elsewhere it is a temporary file.
 
     Raises:
-        HostFailed: The system refuses it.
+        HostProcessFailed: The system refuses it.
     """
     try:
         if hasattr(os, "memfd_create"):
@@ -46,7 +46,7 @@ def create_memory_file(size: int) -> int:
             temporary.truncate(size)
             return os.dup(temporary.fileno())
     except OSError as error:
-        raise HostFailed(f"no memory to share with a model: {error.strerror}") from error
+        raise HostProcessFailed(f"no memory to share with a model: {error.strerror}") from error
 
 
 @final
@@ -62,7 +62,7 @@ class SharedMemory(HostMemory):
             self._size = os.fstat(file).st_size
             self._map = mmap.mmap(file, self._size)
         except OSError as error:
-            raise HostFailed(f"no memory to share with a model: {error.strerror}") from error
+            raise HostProcessFailed(f"no memory to share with a model: {error.strerror}") from error
         finally:
             os.close(file)
         self._bytes = np.frombuffer(self._map, np.uint8)
@@ -75,7 +75,7 @@ class SharedMemory(HostMemory):
             RunFailed: The shared memory has no room for it.
         """
         size = math.prod(shape) * dtype.itemsize
-        place = ArrayPlace(self._end, shape, dtype)
+        place = SharedArraySlot(self._end, shape, dtype)
         if not 0 <= size <= self._size - self._end:
             limit = (
                 f"the {(self._size - self._end) >> 20:,} MiB left of the memory limit (--memory)"
@@ -91,12 +91,14 @@ class SharedMemory(HostMemory):
         """Give the places of all arrays to the next ones."""
         self._end = 0
 
-    def place_of(self, array: np.ndarray) -> ArrayPlace:
+    def place_of(self, array: np.ndarray) -> SharedArraySlot:
         """Return where an array of :meth:`array` lies."""
         start = self._bytes.__array_interface__["data"][0]
-        return ArrayPlace(array.__array_interface__["data"][0] - start, array.shape, array.dtype)
+        return SharedArraySlot(
+            array.__array_interface__["data"][0] - start, array.shape, array.dtype
+        )
 
-    def array_at(self, place: ArrayPlace) -> np.ndarray:
+    def array_at(self, place: SharedArraySlot) -> np.ndarray:
         """Return the array at a place that another process names.
 
         Raises:

@@ -2,7 +2,7 @@
 
 __all__ = [
     "CaptureOff",
-    "FrameGone",
+    "FrameExpired",
     "InputInvalid",
     "NodesOnCpu",
     "ProviderFallback",
@@ -19,7 +19,7 @@ class SessionClosed(GsgenError):
     """Raised if a model's session, or one of its frames, is used after ``close``."""
 
 
-class FrameGone(GsgenError):
+class FrameExpired(GsgenError):
     """Raised if a frame is read after a newer frame has overwritten its buffers."""
 
 

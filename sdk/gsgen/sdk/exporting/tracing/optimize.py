@@ -39,13 +39,13 @@ _RULES = (
     ),
     *(rules.remove_optional_bias_from_qlinear_conv_rule,),
 )
-_ROUNDS = 2
+_OPTIMIZER_ROUNDS = 2
 
 
 def optimize(model: ir.Model) -> None:
     """Fold constants, merge operators and remove unused ones, in place."""
     graph_passes.InlinePass()(model)
-    for _ in range(_ROUNDS):
+    for _ in range(_OPTIMIZER_ROUNDS):
         folded = fold_constants_ir(model)
         rewritten = RewritePass(_RULES)(model)
         graph_passes.RemoveUnusedNodesPass()(model)

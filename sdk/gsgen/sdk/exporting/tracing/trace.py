@@ -34,7 +34,7 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _MAX_HAZARDS = 3
 # Kinds of operations by which the value of an input leaves torch without a torch operator.
-_LEAKS: tuple[HazardKind, ...] = ("number", "numpy", "rebuilt")
+_GRAPH_LEAK_HAZARDS: tuple[HazardKind, ...] = ("number", "numpy", "rebuilt")
 _TRACE_HINT = (
     "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
     "keep `.item()`, numpy and Python branches on tensors out of forward."
@@ -71,7 +71,7 @@ def _fold_constants(
     packed: PackedGenerator, example: Probe, hazards: Sequence[Hazard], error: ExportFailed
 ) -> ConstantFolding:
     """Compute what no input reaches; raise the error of the usual trace where that fails, too."""
-    if any(hazard.kind in _LEAKS for hazard in hazards):
+    if any(hazard.kind in _GRAPH_LEAK_HAZARDS for hazard in hazards):
         raise error  # a value of an input would become a constant
     try:
         return fold_constants(packed, _tensors(example))

@@ -13,7 +13,7 @@ __all__ = [
     "NodeRewrite",
     "Rewrite",
     "RewriteTarget",
-    "Substitute",
+    "SubstituteNodes",
     "TableRewrite",
     "describe_item",
     "every_node",
@@ -233,7 +233,7 @@ class LimitRewrite(Rewrite):
         return None if limit is None else cls(limit)
 
 
-class Substitute(TableRewrite, NodeRewrite):
+class SubstituteNodes(TableRewrite, NodeRewrite):
     """A graph rewrite of operators that the target runtime's graph capture does not support.
 
     Without a target, it replaces every operator of ``kinds``.

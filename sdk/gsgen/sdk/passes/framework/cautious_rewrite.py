@@ -1,6 +1,6 @@
 """Graph rewrites with preconditions, which record each node left unchanged, and why."""
 
-__all__ = ["CautiousNodeRewrite", "CautiousRewrite", "Refusal"]
+__all__ = ["CautiousNodeRewrite", "Refusal", "SkippableRewrite"]
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Refusal:
     reason: str  # the precondition that could not be proven
 
 
-class CautiousRewrite(Rewrite):
+class SkippableRewrite(Rewrite):
     """A graph rewrite that leaves nodes unchanged unless its preconditions are proven.
 
     Attributes:
@@ -41,7 +41,7 @@ class CautiousRewrite(Rewrite):
         self.refusals.append(Refusal(self.name, describe_item(item), reason))
 
 
-class CautiousNodeRewrite(CautiousRewrite, NodeRewrite):
+class CautiousNodeRewrite(SkippableRewrite, NodeRewrite):
     """A graph rewrite of single nodes; nodes that cannot be replaced stay, with a reason."""
 
     def rewrite(self, model: ir.Model) -> None:

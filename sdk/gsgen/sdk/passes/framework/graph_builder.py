@@ -18,7 +18,7 @@ import numpy as np
 import onnx_ir as ir
 
 # Where a graph keeps the names that it uses while a pass runs.
-_USED_NAMES = "gsgen used names"
+_USED_NAMES_METADATA_KEY = "gsgen used names"
 
 Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
@@ -39,9 +39,9 @@ def free_name(graph: ir.Graph, name: str) -> str:
 
     Subgraphs are not searched, which would take long: duplicates there are renamed at the end.
     """
-    used_names = graph.meta.get(_USED_NAMES) or _names(graph)
-    if _USED_NAMES in graph.meta:
-        graph.meta[_USED_NAMES] = used_names
+    used_names = graph.meta.get(_USED_NAMES_METADATA_KEY) or _names(graph)
+    if _USED_NAMES_METADATA_KEY in graph.meta:
+        graph.meta[_USED_NAMES_METADATA_KEY] = used_names
     while name in used_names:
         name += "_"
     used_names.add(name)
@@ -51,11 +51,11 @@ def free_name(graph: ir.Graph, name: str) -> str:
 @contextmanager
 def remembered_names(graph: ir.Graph) -> Iterator[None]:
     """Collect the names that a graph uses once while a pass runs, not for each new weight."""
-    graph.meta[_USED_NAMES] = None
+    graph.meta[_USED_NAMES_METADATA_KEY] = None
     try:
         yield
     finally:
-        del graph.meta[_USED_NAMES]
+        del graph.meta[_USED_NAMES_METADATA_KEY]
 
 
 def _names(graph: ir.Graph) -> set[str | None]:
@@ -169,7 +169,7 @@ class InsertionPoint:
 
     def _insert(self, node: ir.Node) -> None:
         self.graph.insert_before(self.node, node)
-        if used_names := self.graph.meta.get(_USED_NAMES):
+        if used_names := self.graph.meta.get(_USED_NAMES_METADATA_KEY):
             used_names.update(value.name for value in node.outputs)
 
 

@@ -11,7 +11,7 @@ from gsgen.contract.spec.units import FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
-_BOUND_KEEPING = (
+_BOUND_KEEPING_OPERATORS = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
     *("Transpose", "Unsqueeze", "ReduceMax", "ReduceMean", "ReduceMin", "Split"),
 )
@@ -55,7 +55,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
         argument = node.inputs[index] if index < len(node.inputs) else None
         return -math.inf if argument is None else lower_bound(argument, depth + 1)
 
-    if is_op(node, *_BOUND_KEEPING):
+    if is_op(node, *_BOUND_KEEPING_OPERATORS):
         return input_bound(0)
     if is_op(node, *_NOT_NEGATIVE) or _squares(node):
         return 0.0

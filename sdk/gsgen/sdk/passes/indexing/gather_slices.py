@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Substitute, is_op
+from gsgen.sdk.passes.framework.base import SubstituteNodes, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
     UNBOUNDED_END,
@@ -20,7 +20,7 @@ from gsgen.sdk.passes.framework.value_facts import (
 )
 
 
-class GatherSlices(Substitute):
+class GatherSlices(SubstituteNodes):
     """Replace Split by Slice, and Slice and GatherND by Gather, where a runtime has no kernel.
 
     onnxruntime-web 1.22 splits neither float16 nor int32, 1.30 does not slice int32, and 1.22 fails

@@ -7,7 +7,7 @@ import onnx_ir as ir
 
 from gsgen.contract.model.value_ranges import Interval
 from gsgen.sdk.passes.framework.base import TableRewrite, every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
@@ -39,7 +39,7 @@ class _UnprovableRange(Exception):
     """Raised if the remainder of a value cannot be computed in int32; the message says why."""
 
 
-class NarrowHashes(TableRewrite, CautiousRewrite):
+class NarrowHashes(TableRewrite, SkippableRewrite):
     """Compute spatial hashes modulo a power of two in int32, without bit operators.
 
     Instant-NGP indexes a table of 2ᵏ entries by (x · p₁ ⊕ y · p₂ ⊕ z · p₃) mod 2ᵏ. PyTorch ports

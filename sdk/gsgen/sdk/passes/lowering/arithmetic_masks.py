@@ -6,7 +6,7 @@ __all__ = ["ArithmeticMasks"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Substitute, is_op
+from gsgen.sdk.passes.framework.base import SubstituteNodes, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of, required
 
@@ -17,7 +17,7 @@ _CONCAT_OPERATORS = ("Concat",)
 _MASK_KEY = "gsgen.mask"
 
 
-class ArithmeticMasks(Substitute):
+class ArithmeticMasks(SubstituteNodes):
     """Compute boolean masks as numbers, for runtime releases without boolean kernels.
 
     No release joins, transposes, pads or compares booleans, and onnxruntime-web 1.22 does not

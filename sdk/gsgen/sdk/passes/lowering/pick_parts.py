@@ -1,6 +1,6 @@
 """Moves Gather before Concat and Transpose, so that unused parts are never computed."""
 
-__all__ = ["PickParts"]
+__all__ = ["LowerSplitsToSlices"]
 
 
 import numpy as np
@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int
 _MAX_INDICES = 1 << 10
 
 
-class PickParts(NodeRewrite):
+class LowerSplitsToSlices(NodeRewrite):
     """Gather from the inputs of a Concat or Transpose instead of its output.
 
     A deformation field joins position and time, and then gathers pairs of columns. Gathered from

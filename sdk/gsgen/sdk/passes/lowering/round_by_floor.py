@@ -1,6 +1,6 @@
 """Rewrites the operator Round by Floor, because WebGPU has no kernel for Round."""
 
-__all__ = ["RoundByFloor"]
+__all__ = ["LowerRoundToFloor"]
 
 import numpy as np
 import onnx_ir as ir
@@ -10,7 +10,7 @@ from gsgen.sdk.passes.framework.graph_builder import new_node, weight
 from gsgen.sdk.passes.framework.value_facts import required
 
 
-class RoundByFloor(NodeRewrite):
+class LowerRoundToFloor(NodeRewrite):
     """Replace every Round by Floor and comparisons.
 
     ONNX Runtime has no WebGPU kernel for Round in any version: the node stays on the CPU, and

@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import ErrorBudget, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, required
 
@@ -17,7 +17,7 @@ _MAX_WEIGHT_BYTES = 1 << 26
 _FLOAT = ir.DataType.FLOAT
 
 
-class SampleByProduct(CautiousRewrite):
+class SampleByProduct(SkippableRewrite):
     """Replace a bilinear GridSample by two products, if all points share one coordinate.
 
     A HexPlane (arXiv 2310.08528, sec. 4.2) samples planes of space and time: a point's position is

@@ -6,14 +6,14 @@ __all__ = ["SelectExtremes"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, SubstituteNodes, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, required
 
 _CLIP_TYPES = (ir.DataType.FLOAT, ir.DataType.FLOAT16)
 
 
-class SelectExtremes(Substitute):
+class SelectExtremes(SubstituteNodes):
     """Replace Max, Min and Clip by comparisons if a runtime release has no kernel for them.
 
     onnxruntime-web 1.22 has no kernel for Max and Min in any dtype, nor for Clip in int32. A single

@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
 
@@ -19,7 +19,7 @@ _MAX_NODES = 8192
 _AXES_AS_INPUT = 13
 
 
-class UnrollControlFlow(CautiousRewrite):
+class UnrollControlFlow(SkippableRewrite):
     """Unroll If, Loop and Scan nodes whose branches and iteration counts do not depend on inputs.
 
     One control-flow node makes a WebGPU provider refuse graph capture for the whole model, and

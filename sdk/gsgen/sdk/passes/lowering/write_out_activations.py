@@ -9,12 +9,12 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
-from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.base import ErrorBudget, SubstituteNodes
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
-class WriteOutActivations(Substitute):
+class WriteOutActivations(SubstituteNodes):
     """Replace activations by their formulas if a runtime release has no kernel for them.
 
     No release has kernels for Softsign, Selu and Celu; onnxruntime-web 1.22 has none for Softplus,

@@ -7,14 +7,14 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
-from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.base import ErrorBudget, SubstituteNodes
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute, numpy_dtype
 
 _INTEGER_TYPES = (ir.DataType.INT32, ir.DataType.INT64)
 
 
-class WriteOutModulo(Substitute):
+class WriteOutModulo(SubstituteNodes):
     """Replace Mod by a division: no runtime release has a kernel for Mod.
 
     Integers are exact. The float remainder has the sign of x; if rounding makes the quotient one

@@ -9,7 +9,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
-from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.base import ErrorBudget, SubstituteNodes
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of, required
 
@@ -19,7 +19,7 @@ _AXES_INPUT_OPSET = 18
 _CHANNEL_SCALE_OPSET = 21
 
 
-class WriteOutNorms(Substitute):
+class WriteOutNorms(SubstituteNodes):
     """Replace normalisation operators by means, products and roots.
 
     Most releases lack a kernel for some of them: GroupNormalization in onnxruntime-web 1.30,

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.base import ErrorBudget, SubstituteNodes
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute, required
 
@@ -16,7 +16,7 @@ from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute, r
 _SUM_AXES_OPSET, _ALL_AXES_OPSET = 13, 18
 
 
-class WriteOutReductions(Substitute):
+class WriteOutReductions(SubstituteNodes):
     """Replace composite reductions, such as ReduceL2, by ReduceSum and ReduceMax.
 
     Every release with kernels for reductions has ReduceSum, ReduceMean, ReduceMax and ReduceMin;

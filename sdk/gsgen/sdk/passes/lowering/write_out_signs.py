@@ -6,12 +6,12 @@ __all__ = ["WriteOutSigns"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Substitute
+from gsgen.sdk.passes.framework.base import SubstituteNodes
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
-class WriteOutSigns(Substitute):
+class WriteOutSigns(SubstituteNodes):
     """Replace Sign, IsNaN, IsInf, and integer Abs, Neg and Relu by comparisons and subtractions.
 
     No release has kernels for the first three, nor for Abs, Neg and Relu of int32::

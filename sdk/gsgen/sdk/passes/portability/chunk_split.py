@@ -7,7 +7,7 @@ from itertools import pairwise
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import LimitRewrite, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import split_sizes
 
@@ -15,7 +15,7 @@ from gsgen.sdk.passes.framework.value_facts import split_sizes
 _SIZES_ARE_INPUT = 13
 
 
-class ChunkSplit(LimitRewrite, CautiousRewrite):
+class ChunkSplit(LimitRewrite, SkippableRewrite):
     """Replace a Split with more than seven outputs by a tree of smaller Splits.
 
     A Split binds one storage buffer for its input and one for each output, and WebGPU guarantees

@@ -10,7 +10,7 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN, SAFEST_OPSET
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, split_sizes
 from gsgen.sdk.passes.lowering.write_out_activations import WriteOutActivations
@@ -45,7 +45,7 @@ _REDUCTIONS = (
 )  # fmt: skip
 
 
-class LowerOpset(CautiousRewrite):
+class LowerOpset(SkippableRewrite):
     """Lower the ONNX operator set to version 18, for which the target runtime has kernels.
 
     ONNX Runtime uses a kernel only up to the last version of the operator that it was written for.

@@ -8,7 +8,7 @@ import onnx_ir as ir
 
 from gsgen.contract.model.value_ranges import Interval
 from gsgen.sdk.passes.framework.base import TableRewrite, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of
@@ -28,10 +28,10 @@ _COMPUTED_INPUTS: dict[str, tuple[int, ...] | None] = {
 }
 _INDEXED_OPERATORS = ("Gather", "GatherElements", "ScatterElements")
 # float32 represents every integer up to this number.
-_EXACT_FLOAT = 1 << 24
+_MAX_EXACT_FLOAT32_INTEGER = 1 << 24
 
 
-class NarrowIntegers(TableRewrite, CautiousRewrite):
+class NarrowIntegers(TableRewrite, SkippableRewrite):
     """Compute int64 values in int32 if they provably fit.
 
     WebGPU has no 64-bit integers. Few releases truncate them to 32 bits; in onnxruntime-web 1.22
@@ -115,7 +115,9 @@ class NarrowIntegers(TableRewrite, CautiousRewrite):
 
     def _sum_floats(self, node: ir.Node, spans: dict[str, Interval]) -> None:
         for value in (node.inputs[0], node.outputs[0]):
-            if value is None or not fits_int32(spans.get(value.name or ""), _EXACT_FLOAT):
+            if value is None or not fits_int32(
+                spans.get(value.name or ""), _MAX_EXACT_FLOAT32_INTEGER
+            ):
                 self.refuse(node, "its numbers may exceed 2²⁴, so floats might not be exact")
                 return
         self.note(node)

@@ -8,7 +8,7 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.lower_bounds import is_never_zero, smallest_normal
 from gsgen.sdk.passes.framework.value_facts import constant_of, required
@@ -21,7 +21,7 @@ _MOVE_OPERATORS = (
 _MIN_LENGTH, _MIN_SQUARE = 1e-12, 1e-24
 
 
-class RestoreGuards(CautiousRewrite):
+class RestoreGuards(SkippableRewrite):
     """Guard divisions by a vector's length that may be zero.
 
     The exporter drops ``x + c`` for c up to 1e-8, and a guard of 1e-12 is zero in float16: a zero

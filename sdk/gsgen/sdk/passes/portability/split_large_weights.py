@@ -9,7 +9,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint, weight
 from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
@@ -23,7 +23,7 @@ _MAX_BINDING_BYTES = 128 << 20  # every WebGPU device binds this many bytes
 _BOOL = ir.DataType.BOOL
 
 
-class SplitLargeWeights(CautiousRewrite):
+class SplitLargeWeights(SkippableRewrite):
     """Split every weight that is larger than the target's GPU can bind.
 
     WebGPU binds 128 MiB unless a device offers more; onnxruntime-web 1.22 returns zeros for a
@@ -118,12 +118,12 @@ class SplitLargeWeights(CautiousRewrite):
             )
 
 
-WriteParts = Callable[[ir.Node, list[ir.Value], list[int]], None]
+WritePartsFunction = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
 def _splitting_axis(
     value: ir.Value, node: ir.Node, input_index: int
-) -> tuple[int, WriteParts] | str:
+) -> tuple[int, WritePartsFunction] | str:
     """Return the axis along which to split a weight, and a function that splits; else why not."""
     rank = rank_of(value) or 0
     # Case 1

@@ -4,7 +4,7 @@ A tensor [rows, a, b, …] is a NumPy array [a, b, …] of columns: an operator 
 first becomes the same NumPy operation on that array.
 """
 
-__all__ = ["Columns", "Emit", "columns_of", "works_on_columns"]
+__all__ = ["Columns", "EmitNode", "columns_of", "works_on_columns"]
 
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -26,7 +26,7 @@ from gsgen.sdk.passes.framework.value_facts import (
 
 Columns = np.ndarray[Any, np.dtype[np.object_]]
 # Writes one operator on columns and returns its result; operands are columns or numbers.
-Emit = Callable[[str, Sequence[Any], dict[str, Any]], Any]
+EmitNode = Callable[[str, Sequence[Any], dict[str, Any]], Any]
 ColumnLookup = Callable[[ir.Value], Columns]
 
 _ELEMENTWISE = frozenset({
@@ -67,7 +67,11 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 
 
 def columns_of(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, lookup: ColumnLookup, emit: Emit
+    node: ir.Node,
+    inputs: Sequence[ir.Value | None],
+    rows: int,
+    lookup: ColumnLookup,
+    emit: EmitNode,
 ) -> list[Columns]:
     """Compute the columns of an ONNX node's outputs from the columns of its inputs.
 
@@ -117,7 +121,11 @@ def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
 
 
 def _elementwise(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, lookup: ColumnLookup, emit: Emit
+    node: ir.Node,
+    inputs: Sequence[ir.Value | None],
+    rows: int,
+    lookup: ColumnLookup,
+    emit: EmitNode,
 ) -> Columns:
     """Evaluate an elementwise ONNX operator once for each column of its operands."""
     shape = required(fixed_shape(node.outputs[0]))
@@ -155,7 +163,7 @@ def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnL
     return numbers.reshape(trailing_shape)
 
 
-def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:
+def _reduce(node: ir.Node, columns: Columns, emit: EmitNode) -> Columns:
     axes = [axis - 1 for axis in _axes(node, columns.ndim + 1)]
     remaining_axes = [axis for axis in range(columns.ndim) if axis not in axes]
     rows = columns.transpose(remaining_axes + axes)

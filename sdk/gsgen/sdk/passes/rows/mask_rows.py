@@ -9,18 +9,18 @@ from onnx_ir.passes.common import RemoveUnusedNodesPass
 
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import append_output, replace_value
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import (
-    FillerRows,
     Index,
     Linear,
     Mask,
     MaskBlocked,
-    RowFact,
+    PaddingRowsFact,
     Rows,
+    RowTensorFact,
     read_mask,
 )
 from gsgen.sdk.passes.rows.row_indices import (
@@ -35,12 +35,12 @@ from gsgen.sdk.passes.rows.row_numbers import constant_rows, linear_numbers, mas
 from gsgen.sdk.passes.rows.row_operators import propagate_rows, split_rows
 from gsgen.sdk.passes.rows.row_reductions import pad_rows, reduce_rows, scatter_rows
 
-_READS_NUMBERS = (
+_NUMBER_READING_OPERATORS = (
     "Add", "Cast", "Div", "Mul", "Sub", "Where", "Equal", "Less", "Greater", "Min", "Max",
 )  # fmt: skip
 
 
-class MaskRows(CautiousRewrite):
+class MaskRows(SkippableRewrite):
     """Compute all N rows instead of the K rows that a mask selects, and compact them at the end.
 
     The values decide how many rows NonZero and Compress return, so these run on the CPU, and graph
@@ -105,7 +105,7 @@ class _MaskingAttempt:
     def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
         self.draft = RowDraft("masked_rows")
-        self.facts: dict[ir.Value, RowFact] = {}
+        self.facts: dict[ir.Value, RowTensorFact] = {}
         self.sources: list[ir.Node] = []
 
     def run(self) -> list[ir.Value | None]:
@@ -164,22 +164,24 @@ class _MaskingAttempt:
                 node, "it may mix rows, or its shape depends on the count", _masks(facts)
             )
 
-    def _fixed_size_value(self, node: ir.Node, facts: Sequence[RowFact | None]) -> ir.Value | None:
+    def _fixed_size_value(
+        self, node: ir.Node, facts: Sequence[RowTensorFact | None]
+    ) -> ir.Value | None:
         """Create a fixed-size value in place of a node's output, whose size depends on a mask."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        is_filled = any(isinstance(fact, FillerRows | Linear) for fact in facts[1:])
+        is_filled = any(isinstance(fact, PaddingRowsFact | Linear) for fact in facts[1:])
         if (
             is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_filled
         ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
-    def _source_fact(self, node: ir.Node) -> RowFact | None:
+    def _source_fact(self, node: ir.Node) -> RowTensorFact | None:
         if is_op(node, "NonZero"):
-            fact: RowFact | None = nonzero_index(node)
+            fact: RowTensorFact | None = nonzero_index(node)
         elif is_op(node, "Compress"):
             mask = read_mask(node.inputs[1])
             if mask is None or mask.without_repeats in self.excluded:
@@ -197,7 +199,9 @@ class _MaskingAttempt:
         self.sources.append(node)
         return fact
 
-    def _propagated_fact(self, node: ir.Node, facts: Sequence[RowFact | None]) -> RowFact | None:
+    def _propagated_fact(
+        self, node: ir.Node, facts: Sequence[RowTensorFact | None]
+    ) -> RowTensorFact | None:
         if is_op(node, "NonZero", "Compress", "Gather", "GatherND"):
             nested_rows = self._nested_fact(node, facts)
             if nested_rows is not None:
@@ -213,14 +217,16 @@ class _MaskingAttempt:
             return transform_index(node, first_fact)
         if Rows in kinds:
             return propagate_rows(node, facts, self.draft)
-        if isinstance(first_fact, FillerRows):
+        if isinstance(first_fact, PaddingRowsFact):
             return first_fact if is_op(node, "Identity") else None
         shape = facts[-1]
         if is_op(node, "ConstantOfShape", "Expand") and isinstance(shape, Linear):
             return constant_rows(node, shape, self.draft)
         return linear_numbers(node, facts)
 
-    def _nested_fact(self, node: ir.Node, facts: Sequence[RowFact | None]) -> RowFact | None:
+    def _nested_fact(
+        self, node: ir.Node, facts: Sequence[RowTensorFact | None]
+    ) -> RowTensorFact | None:
         """Return the rows that a mask selects among the rows that an earlier mask selected."""
         rows, selector = facts[0], facts[-1]
         if not isinstance(rows, Rows):
@@ -241,7 +247,7 @@ class _MaskingAttempt:
             return Rows(mask, rows.value, rows.axis) if mask is not None and is_row_gather else None
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
-    def _replace_counts(self, node: ir.Node, facts: Sequence[RowFact | None]) -> bool:
+    def _replace_counts(self, node: ir.Node, facts: Sequence[RowTensorFact | None]) -> bool:
         """Replace inputs that count selected rows by the number of all rows; return whether done.
 
         Any node may read numbers from a shape if they do not depend on the count.
@@ -249,7 +255,9 @@ class _MaskingAttempt:
         if not all(fact is None or isinstance(fact, Linear) for fact in facts):
             return False
         numbers = [fact for fact in facts if isinstance(fact, Linear) and fact.varies]
-        if any(fact.factor.any() for fact in numbers) and not is_op(node, *_READS_NUMBERS):
+        if any(fact.factor.any() for fact in numbers) and not is_op(
+            node, *_NUMBER_READING_OPERATORS
+        ):
             return False
         for input_index, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):
             if isinstance(fact, Linear) and fact.varies and value is not None:
@@ -297,9 +305,9 @@ class _MaskingAttempt:
         )
 
 
-def _varies(fact: RowFact | None) -> bool:
+def _varies(fact: RowTensorFact | None) -> bool:
     return fact is not None and (not isinstance(fact, Linear) or fact.varies)
 
 
-def _masks(facts: Sequence[RowFact | None]) -> frozenset[Mask]:
+def _masks(facts: Sequence[RowTensorFact | None]) -> frozenset[Mask]:
     return frozenset(fact.mask.without_repeats for fact in facts if fact is not None)

@@ -1,6 +1,15 @@
 """Facts about tensors whose number of rows depends on a boolean mask."""
 
-__all__ = ["FillerRows", "Index", "Linear", "Mask", "MaskBlocked", "RowFact", "Rows", "read_mask"]
+__all__ = [
+    "Index",
+    "Linear",
+    "Mask",
+    "MaskBlocked",
+    "PaddingRowsFact",
+    "RowTensorFact",
+    "Rows",
+    "read_mask",
+]
 
 from dataclasses import dataclass
 from math import prod
@@ -75,7 +84,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True)
-class FillerRows:
+class PaddingRowsFact:
     """Equal filler rows that pad K selected rows to a fixed capacity."""
 
     mask: Mask  # the mask with K true elements
@@ -83,7 +92,7 @@ class FillerRows:
     row: np.ndarray  # the constant content of a row
 
 
-RowFact = Index | Rows | Linear | FillerRows
+RowTensorFact = Index | Rows | Linear | PaddingRowsFact
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:

@@ -11,7 +11,14 @@ from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows, read_mask
+from gsgen.sdk.passes.rows.row_facts import (
+    Index,
+    Linear,
+    PaddingRowsFact,
+    Rows,
+    RowTensorFact,
+    read_mask,
+)
 
 _INTEGER_DTYPES = (ir.DataType.INT32, ir.DataType.INT64)
 _MOVE_OPERATORS = (
@@ -48,7 +55,7 @@ def mask_count(node: ir.Node) -> Linear | None:
     )
 
 
-def shape_fact(node: ir.Node, fact: RowFact) -> Linear | None:
+def shape_fact(node: ir.Node, fact: RowTensorFact) -> Linear | None:
     """Return a tensor's shape as formulas of K, the number of rows that a mask selects."""
     dims = _dims(fact)
     end = node.attributes.get("end")
@@ -61,7 +68,7 @@ def shape_fact(node: ir.Node, fact: RowFact) -> Linear | None:
     return Linear(fact.mask, constant, factor, varies=True)
 
 
-def _dims(fact: RowFact) -> list[int | None]:
+def _dims(fact: RowTensorFact) -> list[int | None]:
     """Return the sizes of a tensor, with None for the number K of selected rows."""
     if isinstance(fact, Rows) and not fact.flat:
         shape: list[int | None] = list(fixed_shape(fact.value) or ())
@@ -75,7 +82,7 @@ def _dims(fact: RowFact) -> list[int | None]:
     return []
 
 
-def linear_numbers(node: ir.Node, facts: Sequence[RowFact | None]) -> Linear | None:
+def linear_numbers(node: ir.Node, facts: Sequence[RowTensorFact | None]) -> Linear | None:
     """Return the result of arithmetic on shapes if it is linear in the selected row count K."""
     known = [fact for fact in facts if isinstance(fact, Linear)]
     if (
@@ -117,14 +124,16 @@ def linear_numbers(node: ir.Node, facts: Sequence[RowFact | None]) -> Linear | N
     return Linear(known[0].mask, constant, factor, varies)
 
 
-def _parts(value: ir.Value | None, fact: RowFact | None) -> tuple[np.ndarray, np.ndarray] | None:
+def _parts(
+    value: ir.Value | None, fact: RowTensorFact | None
+) -> tuple[np.ndarray, np.ndarray] | None:
     if isinstance(fact, Linear):
         return fact.constant, fact.factor
     known = constant_of(value)
     return None if known is None else (known, np.zeros_like(known))
 
 
-def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | FillerRows | None:
+def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | PaddingRowsFact | None:
     """Return the rows of a constant fill: one per selected row, or filler rows up to a capacity."""
     value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
@@ -142,7 +151,7 @@ def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Fille
         return Rows(shape.mask, draft.op("Expand", source, target, shape=full_shape), axis)
     if factor[0] == -1:
         row = np.broadcast_to(value[0], np.broadcast_shapes(value.shape[1:], tuple(sizes[1:])))
-        return FillerRows(shape.mask, int(sizes[0]), row)
+        return PaddingRowsFact(shape.mask, int(sizes[0]), row)
     return None
 
 

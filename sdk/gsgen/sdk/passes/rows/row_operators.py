@@ -21,7 +21,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     rank_of,
 )
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows
+from gsgen.sdk.passes.rows.row_facts import Index, Linear, PaddingRowsFact, Rows, RowTensorFact
 
 _ELEMENTWISE = frozenset({
     "Abs", "Acos", "Acosh", "Add", "And", "Asin", "Asinh", "Atan", "Atanh", "Cast", "Ceil",
@@ -33,7 +33,7 @@ _ELEMENTWISE = frozenset({
 })  # fmt: skip
 _AXIS_OPERATORS = frozenset({"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"})
 
-RowFacts = Sequence[RowFact | None]
+RowFacts = Sequence[RowTensorFact | None]
 
 
 def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -92,7 +92,7 @@ def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None
     if (
         len(negative_axes) != 1
         or rank is None
-        or any(isinstance(f, Index | FillerRows) for f in facts)
+        or any(isinstance(f, Index | PaddingRowsFact) for f in facts)
     ):
         return None
     (negative_axis,) = negative_axes

@@ -15,7 +15,7 @@ from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import FillerRows, Index, Linear, RowFact, Rows
+from gsgen.sdk.passes.rows.row_facts import Index, Linear, PaddingRowsFact, Rows, RowTensorFact
 from gsgen.sdk.passes.rows.row_operators import axes_of
 
 # The neutral element of each reduction.
@@ -26,7 +26,7 @@ _NEUTRAL_BY_OPERATOR = {
     "ReduceMin": np.inf,
 }
 
-RowFacts = Sequence[RowFact | None]
+RowFacts = Sequence[RowTensorFact | None]
 
 
 def scatter_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
@@ -113,7 +113,7 @@ def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None
 
 
 def _concat_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:
-    if len(facts) != 2 or not isinstance(facts[1], FillerRows):
+    if len(facts) != 2 or not isinstance(facts[1], PaddingRowsFact):
         return None
     rank = rank_of(node.outputs[0])
     if rank is None or node.attributes["axis"].as_int() % rank != 0:

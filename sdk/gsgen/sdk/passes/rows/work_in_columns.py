@@ -1,6 +1,6 @@
 """Rewrites arithmetic on long, narrow tensors to work column by column."""
 
-__all__ = ["WorkInColumns"]
+__all__ = ["RewriteRowsToColumns"]
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import SAFE_TENSOR_COUNT, ErrorBudget, Rewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, required
-from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, works_on_columns
+from gsgen.sdk.passes.rows.column_rules import Columns, EmitNode, columns_of, works_on_columns
 
 # A kernel launch costs as much as some ten thousand rows; below this, fewer nodes are faster.
 _MIN_ROWS = 1 << 16
@@ -27,7 +27,7 @@ _COPY_OPERATORS = ("Reshape", "Squeeze", "Unsqueeze")
 _MAX_COST_RATIO = 0.85
 
 
-class WorkInColumns(Rewrite):
+class RewriteRowsToColumns(Rewrite):
     """Compute the columns of long, narrow tensors as separate tensors.
 
     A covariance is computed from a rotation and a scale in rows of three, four and nine numbers:
@@ -155,7 +155,7 @@ class _ColumnPlan:
         """Replace connected nodes by nodes on single columns; join columns read elsewhere."""
         columns_by_key: dict[Hashable, ir.Value] = {}
 
-        def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
+        def writers(write: InsertionPoint) -> tuple[EmitNode, Callable[[ir.Value], Columns]]:
             def emit(kind: str, operands: Sequence[Any], attributes: dict[str, Any]) -> ir.Value:
                 key = (kind, tuple(operands), tuple(sorted(attributes.items())))
                 if key not in columns_by_key:

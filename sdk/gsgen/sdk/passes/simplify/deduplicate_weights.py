@@ -9,12 +9,12 @@ from collections.abc import Hashable, Iterator
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 
 _CHUNK_BYTES = 1 << 24
 
 
-class DeduplicateWeights(CautiousRewrite):
+class DeduplicateWeights(SkippableRewrite):
     """Merge weights of the graph that are equal in dtype, shape and bytes.
 
     A tied table, or a constant that an exporter writes again at each use, is stored, downloaded

@@ -8,7 +8,7 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 from gsgen.sdk.passes.framework.graph_builder import replace_value, weight
 from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
 from gsgen.sdk.passes.framework.shape_inference import infer_shapes
@@ -20,7 +20,7 @@ _MAX_SIZE = 1 << 24
 _TABLE_OPERATORS = ("ConstantOfShape", "Range")
 
 
-class FoldShapes(CautiousRewrite):
+class FoldShapes(SkippableRewrite):
     """Replace arithmetic on shapes by its result if the result is the same in every frame.
 
     Range and ConstantOfShape have no WebGPU kernel, and a Reshape to a shape that the frame

@@ -9,10 +9,10 @@ import onnx_ir as ir
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.sdk.passes.framework.base import RewriteTarget
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
 
 
-class FreezeDimensions(CautiousRewrite):
+class FreezeDimensions(SkippableRewrite):
     """Give symbolic dimensions the requested sizes, everywhere in the graph.
 
     A captured frame has buffers of fixed size, and a reader takes the number of rows from the

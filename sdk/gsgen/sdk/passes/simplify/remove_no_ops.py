@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int
 _VARIADIC = frozenset({"Concat", "Max", "Mean", "Min", "Sum"})
 _REDUCTIONS = frozenset({"ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum"})
 # If the shape does not change, neither does the order of the elements.
-_KEEP_ORDER = frozenset({"Expand", "Flatten", "Reshape", "Squeeze", "Unsqueeze"})
+_ORDER_KEEPING_OPERATORS = frozenset({"Expand", "Flatten", "Reshape", "Squeeze", "Unsqueeze"})
 # The neutral second operand; for Mul, also the neutral first operand.
 _NEUTRAL_BY_OPERATOR = {"Div": 1, "Mul": 1, "Sub": 0}
 
@@ -75,7 +75,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
     shape, result_shape = fixed_shape(x), fixed_shape(node.outputs[0])
     if shape is None or shape != result_shape:
         return None
-    if is_op(node, *_KEEP_ORDER):
+    if is_op(node, *_ORDER_KEEPING_OPERATORS):
         return x
     return x if _keeps_positions(node, len(shape)) else None
 
