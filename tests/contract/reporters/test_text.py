@@ -100,7 +100,7 @@ def test_finding_lists_the_rules_that_it_blocked(reports):
 
 @pytest.mark.parametrize("most", [10, 11])
 def test_many_blocked_rules_are_counted(reports, monkeypatch, most):
-    monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
+    monkeypatch.setattr("gsgen.contract.reporters.text._MAX_BLOCKED_RULES", most)
     report = reports["foreign"]
     expected_line = "so 11 rules could not be checked, which `gsgen validate -v` lists\n"
     assert (expected_line in text_of(report)) == (most < 11)
