@@ -95,7 +95,7 @@ def test_every_format_is_written_and_compared(tmp_path, name, degree):
     retained = min(2 if degree is None else degree, codec_named(name).most_degree)
     assert (done.count, done.degree, done.format) == (400, (2, retained), name)
     assert done.sizes == (file.stat().st_size, target.stat().st_size)
-    assert ("harmonics above degree" in " ".join(done.lost_features)) is (retained < 2)
+    assert ("harmonics above degree" in " ".join(done.lost)) is (retained < 2)
     restored = open_splats(target)
     assert isinstance(restored, Splats)
     assert restored.degree == retained
@@ -126,7 +126,7 @@ def test_lost_flags_are_reported(tmp_path):
         ("mip.spz", "compressed-ply", ("the order of the splats",)),
     ):
         done = convert(tmp_path / source, tmp_path / "out", codec_named(target))
-        assert done.lost_features == lost_flags
+        assert done.lost == lost_flags
 
 
 @pytest.mark.parametrize("name", ["ksplat", "npz"])

@@ -55,9 +55,9 @@ def test_parts_give_the_bytes_of_a_conversion_in_memory(
     whole, in_parts = results
     assert (whole.compared, in_parts.compared) == (True, False)
     assert whole.count == in_parts.count > 0
-    assert (whole.degree, whole.lost_features, whole.sizes) == (
+    assert (whole.degree, whole.lost, whole.sizes) == (
         in_parts.degree,
-        in_parts.lost_features,
+        in_parts.lost,
         in_parts.sizes,
     )
     assert Path(whole.target).read_bytes() == Path(in_parts.target).read_bytes()

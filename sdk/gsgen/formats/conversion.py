@@ -46,7 +46,7 @@ class Conversion:
         degree: The SH degrees of the source and the target; None for points.
         sizes: The sizes of the sources together and of the target, in bytes. That of the sources
             is 0 if one of them is a tileset or an address.
-        lost_features: The dropped properties, in words.
+        lost: The dropped properties, in words.
         differences: The error of each kept quantity; empty for points.
         compared: Whether the written file was compared; not above ``MAX_COMPARED_VALUES``.
     """
@@ -57,7 +57,7 @@ class Conversion:
     count: int
     degree: tuple[int, int] | None
     sizes: tuple[int, int]
-    lost_features: tuple[str, ...]
+    lost: tuple[str, ...]
     differences: tuple[Difference, ...]
     compared: bool = True
 
@@ -142,7 +142,7 @@ def convert(
         count=len(reduced),
         degree=degree,
         sizes=(_total_bytes(sources), written_bytes(target)),
-        lost_features=lost_features,
+        lost=lost_features,
         differences=entries,
         compared=is_compared,
     )
@@ -175,9 +175,7 @@ def _convert_parts(
         count=count,
         degree=degrees,
         sizes=(written_bytes(parts.path), written_bytes(target)),
-        lost_features=_lost_features(
-            degrees, codec, antialiased=parts.table.antialiased, linear=False
-        ),
+        lost=_lost_features(degrees, codec, antialiased=parts.table.antialiased, linear=False),
         differences=(),
         compared=False,
     )
@@ -241,7 +239,7 @@ def _convert_points(
         count=len(points),
         degree=None,
         sizes=(size, written_bytes(target)),
-        lost_features=(),
+        lost=(),
         differences=(),
     )
 

@@ -25,7 +25,7 @@ SPEC = cast(Any, SimpleNamespace(name="gaussians", dtype=np.dtype(np.float32)))
 def test_outputs_fit_buffers_and_memory(
     monkeypatch: pytest.MonkeyPatch, host_bytes: int, memory: str, count: int, words: str
 ) -> None:
-    monkeypatch.setattr(bound_session, "_host_bytes", lambda: host_bytes)
+    monkeypatch.setattr(bound_session, "host_bytes", lambda: host_bytes)
     shapes = {"gaussians": (count,)}
     if not words:
         _check_output_sizes((SPEC,), shapes, memory)

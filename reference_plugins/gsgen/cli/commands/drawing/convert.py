@@ -269,24 +269,24 @@ def _as_dict(result: "Conversion") -> dict[str, object]:
 
 
 def _as_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
-    source_count, result_count = (size / (1 << 20) for size in result.sizes)
+    source_mebibytes, result_mebibytes = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
     not_compared = (
         [] if result.compared else ["not compared: the splats take more memory than that may"]
     )
     sizes = (
-        f"{source_count:.2f} MiB → {result_count:.2f} MiB"
-        if source_count
-        else f"{result_count:.2f} MiB"
+        f"{source_mebibytes:.2f} MiB → {result_mebibytes:.2f} MiB"
+        if source_mebibytes
+        else f"{result_mebibytes:.2f} MiB"
     )
     times = (
-        f", {source_count / result_count:.1f} times smaller"
-        if source_count > 1.05 * result_count > 0
+        f", {source_mebibytes / result_mebibytes:.1f} times smaller"
+        if source_mebibytes > 1.05 * result_mebibytes > 0
         else ""
     )
     lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
-    lines += [f"lost: {loss}" for loss in result.lost_features]
+    lines += [f"lost: {loss}" for loss in result.lost]
     changed_differences = [difference for difference in result.differences if difference.largest]
     if changed_differences:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
@@ -295,6 +295,6 @@ def _as_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
         for difference in changed_differences
     ]
     lines += not_compared
-    if result.degree and not changed_differences and not result.lost_features and result.compared:
+    if result.degree and not changed_differences and not result.lost and result.compared:
         lines.append("nothing was lost by the format" if has_edits else "nothing was lost")
     return lines
