@@ -41,7 +41,12 @@ def dtype_with(code: str, state: bytes) -> bytes:
 
 def array_with(dtype: bytes, shape: bytes = b"K\x04\x85", data: bytes = raw(bytes(32))) -> bytes:
     """An array that is set to a state of these parts."""
-    return _ARRAY + b"R(K\x01" + shape + dtype + b"\x89" + data + b"tb"
+    return array_set_to(b"(K\x01" + shape + dtype + b"\x89" + data + b"t")
+
+
+def array_set_to(state: bytes) -> bytes:
+    """An array that is set to a state."""
+    return _ARRAY + b"R" + state + b"b"
 
 
 def of_x(value: bytes) -> bytes:
@@ -71,10 +76,10 @@ def _sparse(rows: int, columns: int) -> bytes:
     parts = {"_shape": (rows, columns), "indptr": np.zeros(2, int), "indices": np.zeros(0, int),
              "data": np.zeros(0)}  # fmt: skip
     state = pickle.dumps(parts, 4)
-    return b"cscipy.sparse._csc\ncsc_matrix\n)\x81" + _body(state) + b"b"
+    return b"cscipy.sparse._csc\ncsc_matrix\n)\x81" + body_of(state) + b"b"
 
 
-def _body(pickled: bytes) -> bytes:
+def body_of(pickled: bytes) -> bytes:
     """A pickle without its frames and its end, to be part of another."""
     parts = [
         pickled[start:stop]
@@ -91,7 +96,7 @@ def _opcodes(pickled: bytes) -> list[tuple[tuple[pickletools.OpcodeInfo, object,
 
 def _selection(times: int) -> bytes:
     parts = {"a": np.zeros(1 << 20), "idxs": np.zeros(times, np.uint8)}
-    return b"cchumpy.reordering\nSelect\n)\x81" + _body(pickle.dumps(parts, 4)) + b"b"
+    return b"cchumpy.reordering\nSelect\n)\x81" + body_of(pickle.dumps(parts, 4)) + b"b"
 
 
 PICKLES: dict[str, Callable[[], bytes]] = {
