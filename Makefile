@@ -10,7 +10,7 @@ READY := $(VENV)/.gsgen-ready
 # Some containers forbid Python to write bytecode: each process would compile the project anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
+.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort fuzz fuzz-formats untrusted fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -103,6 +103,10 @@ fuzz: setup
 FORMAT_COUNT ?= 5000
 fuzz-formats: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.formats --count $(FORMAT_COUNT) --seed $(SEED)
+
+# What every command makes of files of an attacker, under the bars that the bench states.
+untrusted: setup
+	$(BIN)/python tests/bench/bench_untrusted_bytes.py
 
 # Damaged tilesets and tiles, which must be reported or refused within 1 GiB and 20 s each.
 fuzz-tiles: setup

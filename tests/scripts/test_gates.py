@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from importlib import import_module
 
 import pytest
 
@@ -151,6 +152,15 @@ def raw_calls(code: str) -> Iterator[str]:
 )  # fmt: skip
 def test_a_raw_call_is_found_by_every_name(code, names):
     assert list(raw_calls(code)) == names
+
+
+def test_the_page_on_security_names_gates_that_exist():
+    page = (ROOT / "SECURITY.md").read_text("utf-8").partition("### The gates")[2]
+    names = re.findall(r"`(gsgen\.[\w.]+)`", page)
+    assert len(names) == 4
+    for name in names:
+        module, _, function = name.rpartition(".")
+        assert callable(getattr(import_module(module), function))
 
 
 def test_untrusted_bytes_are_read_by_the_gates_alone():

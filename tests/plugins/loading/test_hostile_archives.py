@@ -11,6 +11,7 @@ from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.states import read_script_state
 from support.hostile.pickles import PICKLES, write_pickle
+from support.hostile.random_bytes import run_checked
 from support.hostile.scripts import SCRIPTS, views_of_one_storage, write_module, write_script
 
 # Read as data: what would be harmful in them has no effect here.
@@ -82,3 +83,17 @@ def test_parts_of_one_storage_are_read(tmp_path: Path) -> None:
     state = read_script_state(write_module(tmp_path / "net.pt", pickle, numbers.tobytes()))
     assert state["w0"].tolist() == [0, 1, 2, 3]
     assert state["w2"].tolist() == [8, 9, 10, 11]
+
+
+@pytest.mark.parametrize("kind", ["pickles", "headers"])
+def test_random_files_neither_crash_nor_damage_memory(kind: str) -> None:
+    ended = run_checked(kind, 300)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith(f"300 {kind}, ")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["pickles", "headers"])
+def test_20_000_random_files_neither_crash_nor_damage_memory(kind: str) -> None:
+    ended = run_checked(kind, 20_000, seed=1)
+    assert ended.returncode == 0, ended.stderr
