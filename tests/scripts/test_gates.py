@@ -36,9 +36,6 @@ GATES: dict[tuple[str, str], str] = {
     ("sdk/gsgen/sdk/binding/providers/selection.py", "onnxruntime.InferenceSession"): (
         "the gate to sessions: require_loadable is called before"
     ),
-    ("runtime/gsgen/tiles/prediction/onnx_predictor.py", "onnxruntime.InferenceSession"): (
-        "require_loadable is called before"
-    ),
     ("contract/gsgen/contract/probing/sandbox_worker.py", "onnxruntime.InferenceSession"): (
         "the parent called require_loadable, in `execute`"
     ),
