@@ -23,7 +23,7 @@ def run_in_groups(
     limits: Limits,
     *,
     frame_bytes: int,
-    failure: Callable[[str], GsgenError],
+    failure: Callable[[str, str], GsgenError],
 ) -> Iterator[dict[str, np.ndarray]]:
     """Yield a model's outputs by name for each set of test inputs; each is valid until the next.
 
@@ -33,14 +33,14 @@ def run_in_groups(
         probes: The inputs.
         limits: Time and memory for a group of runs.
         frame_bytes: Bytes of the outputs of one run.
-        failure: Makes the error to raise from ONNX Runtime's message.
+        failure: Makes the error to raise from ONNX Runtime's message and a hint, which may be empty.
     """
     size = max(1, MAX_KEPT_OUTPUT_BYTES // max(1, frame_bytes))
     for start in range(0, len(probes), size):
         group = probes[start : start + size]
         with execute(path, names, group, limits) as execution:
             if execution.fault is not None:
-                raise failure(execution.fault.message)
+                raise failure(execution.fault.message, execution.fault.hint)
             for run in execution.runs:
                 outputs = execution.samples[run.sample].outputs
                 yield {name: outputs[name] for name in names}

@@ -1,6 +1,6 @@
 """Explains why an exported model differs from torch: ignored inputs, or untraceable code."""
 
-__all__ = ["ParitySuspects", "diagnose"]
+__all__ = ["ParitySuspects", "diagnose", "low_precision_hint"]
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -14,6 +14,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.tracing.hazards import Hazard
+from gsgen.sdk.exporting.tracing.operator_watch import OperatorWatch
 from gsgen.sdk.parity import ModelOutput, references_equal
 
 RunProbes = Callable[[list[Probe]], list[ModelOutput]]
@@ -60,7 +61,16 @@ def diagnose(
     return reason, _hint(suspects, references)
 
 
+def low_precision_hint(generator: GaussianGenerator, probe: Probe) -> str:
+    """Return the line of forward that computes below float32, and what to write; empty if none."""
+    with OperatorWatch() as watch:
+        run_eager(generator, probe, checked=False)
+    return watch.precision_hint
+
+
 def _hint(suspects: ParitySuspects, references: EagerRuns) -> str:
+    if hint := low_precision_hint(suspects.generator, references.probes[-1]):
+        return "\n  ".join([hint, *map(str, suspects.hazards[: _MAX_LISTED_SUSPECTS - 1])])
     if suspects.hazards:
         return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MAX_LISTED_SUSPECTS])
     second_run = run_eager(suspects.generator, references.probes[-1])

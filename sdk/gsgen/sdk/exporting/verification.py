@@ -17,7 +17,7 @@ from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.frame_size import frame_bytes
-from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose
+from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose, low_precision_hint
 from gsgen.sdk.exporting.pipeline import Progress
 from gsgen.sdk.exporting.source_vectors import RowRecorder
 from gsgen.sdk.exporting.tracing.hazards import HazardWatch
@@ -59,10 +59,14 @@ def check_parity(
         # Where values tie, kernels of sorts order rows in their own way.
         any_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )
-    for index, outputs in enumerate(_runs(path, manifest, references.probes)):
-        progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
-        recorder.add_run(index, outputs)
-        comparison.add(references[index], _output(outputs, manifest))
+    try:
+        for index, outputs in enumerate(_runs(path, manifest, references.probes)):
+            progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
+            recorder.add_run(index, outputs)
+            comparison.add(references[index], _output(outputs, manifest))
+    except ParityFailed as error:  # the model does not run
+        hint = low_precision_hint(suspects.generator, references.probes[-1]) or error.hint
+        raise ParityFailed(error.message, where=error.where, hint=hint) from error
     parity = comparison.parity
     if parity.holds:
         return parity
@@ -116,9 +120,9 @@ def run_exported(
 ) -> Iterator[dict[str, np.ndarray]]:
     """Run an exported model for each set of test inputs, and yield its outputs by name."""
 
-    def failure(message: str) -> ParityFailed:
+    def failure(message: str, hint: str) -> ParityFailed:
         return ParityFailed(
-            f"ONNX Runtime cannot run the exported model: {message}", where=path.name
+            f"ONNX Runtime cannot run the exported model: {message}", where=path.name, hint=hint
         )
 
     limits = Limits().for_model(open_model(path).weight_bytes + frame_bytes)

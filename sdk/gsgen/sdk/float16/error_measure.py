@@ -160,8 +160,9 @@ class ErrorProbe:
             return self._compare(references, (self._read(outputs) for outputs in runs))
 
 
-def _cannot_run(message: str) -> RewriteFailed:
-    return RewriteFailed(f"ONNX Runtime cannot run the result: {message}", where="float16")
+def _cannot_run(message: str, hint: str) -> RewriteFailed:
+    message = f"ONNX Runtime cannot run the result: {message}"
+    return RewriteFailed(message, where="float16", hint=hint)
 
 
 def _unseen_probes(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:

@@ -35,9 +35,14 @@ def user_line_of(error: BaseException) -> str:
     return ""
 
 
-def current_user_line() -> str:
-    """Return ``file:line (code)`` of the innermost running frame of the user's code."""
+def current_user_line(outer: FrameType | None = None) -> str:
+    """Return ``file:line (code)`` of the innermost running frame of the user's code.
+
+    Frames from ``outer`` on, which called the code in question, do not count.
+    """
     for frame in _frames():
+        if frame is outer:
+            break
         name = frame.f_code.co_filename
         if is_user_file(name):
             source_line = linecache.getline(name, frame.f_lineno).strip()

@@ -23,6 +23,11 @@ from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
 from gsgen.sdk.exporting.tracing.hazards import Hazard, HazardKind, describe_hazard
+from gsgen.sdk.exporting.tracing.operator_watch import (
+    OperatorWatch,
+    missing_operator,
+    missing_operator_hint,
+)
 from gsgen.sdk.exporting.tracing.optimize import optimize
 from gsgen.sdk.exporting.tracing.partial_evaluation import (
     ConstantFolding,
@@ -39,6 +44,10 @@ _TRACE_HINT = (
     "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
     "keep `.item()`, numpy and Python branches on tensors out of forward."
 )
+
+
+class OperatorMissing(ExportFailed):
+    """Raised if a torch module calls an operator that has no ONNX form."""
 
 
 def trace_generator(
@@ -61,7 +70,10 @@ def trace_generator(
         return trace_module(packed, example, names, opset, where=where, hazards=hazards)
     except ExportFailed as error:
         folding = _fold_constants(packed, example, hazards, error)
-        model = trace_module(folding.graph, example, names, opset, where=error.where)
+        try:
+            model = trace_module(folding.graph, example, names, opset, where=error.where)
+        except OperatorMissing:
+            raise error from None  # it has the line of forward, which the folded graph has not
     if notes is not None:
         notes.append(folding.describe())
     return model
@@ -117,7 +129,8 @@ def trace_module(
     except GeneratorInvalid:
         raise
     except Exception as error:  # the exporter's errors share no base class
-        raise _export_error(where, error, hazards) from error
+        missing_error = _missing_operator_error(module, example, where, error, hazards)
+        raise missing_error or _export_error(where, error, hazards) from error
     _widen_indices(model)
     exported_opset = model.opset_imports.get("", opset)
     if exported_opset != opset:  # torch only logs that it could not convert the graph
@@ -180,6 +193,22 @@ def _silence_exporter() -> Iterator[None]:
     finally:
         options.do_not_emit_stack_traces = old_setting
         logging.disable(level)
+
+
+def _missing_operator_error(
+    module: nn.Module, example: Probe, name: str, error: BaseException, hazards: Sequence[Hazard]
+) -> ExportFailed | None:
+    """Return the error for an operator that ONNX has not, with the line of forward that calls it.
+
+    None if the export failed for another reason, or a hazard explains the operator.
+    """
+    operator, sentence = missing_operator(error)
+    if not operator or any(hazard.kind == "linalg" for hazard in hazards):
+        return None
+    with torch.no_grad(), OperatorWatch() as watch:
+        module(*_tensors(example))
+    hint = missing_operator_hint(operator, sentence)
+    return OperatorMissing(sentence, where=watch.line_of(operator) or name, hint=hint)
 
 
 def _export_error(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
