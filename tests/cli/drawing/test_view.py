@@ -15,7 +15,10 @@ from gsgen.runtime.viewer import surface_renderer, window
 from gsgen.runtime.viewer.overlay import HELP_LINES
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import Viewer
+from gsgen.sdk.binding import RunFailed
 from support.commands import gsgen
+from support.models.endless import endless
+from support.models.hostile import HOSTILE
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -124,3 +127,30 @@ def test_exported_page_is_refused_as_a_scene(tmp_path: Path) -> None:
     assert isinstance(finished.exception, GsgenError)
     assert "page.html: is a page, expected a scene" in str(finished.exception)
     assert "gsgen export html SCENE -o page.html" in str(finished.exception.hint)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.usefixtures("opened")
+def test_a_hostile_model_ends_before_a_window_opens(tmp_path: Path, name: str) -> None:
+    path = HOSTILE[name](tmp_path)
+    finished = run_view(str(path), "--timeout", "3")
+    assert isinstance(finished.exception, RunFailed)
+    assert "limit (--" in str(finished.exception)
+    assert "\n" not in str(finished.exception)
+
+
+def test_a_frame_that_never_ends_stops_the_viewer_at_the_time_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The window shows the first frame; the one at the end of the time range never ends."""
+
+    def play(viewer: Viewer, *_: object, **__: object) -> None:
+        viewer.playback.seek(viewer.playback.frames - 1)
+        viewer.playback.settle(viewer.controls.camera(32, 32))
+
+    monkeypatch.setattr(window, "require_display", lambda: None)
+    monkeypatch.setattr(window, "open_window", play)
+    finished = run_view(str(endless(tmp_path, after=0.5)), "--timeout", "2")
+    assert isinstance(finished.exception, RunFailed)
+    assert "a frame takes more than 2 s, the time limit (--timeout)" in str(finished.exception)

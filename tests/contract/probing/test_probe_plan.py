@@ -65,12 +65,15 @@ def test_another_seed_gives_other_probes(subject_of):
     assert (a.inputs["betas"] != b.inputs["betas"]).all()
 
 
-@pytest.mark.parametrize(("rows", "count"), [(1000, 8), (4_000_000, 5), (10**9, 3)])
-def test_large_outputs_are_probed_less_often(subject_of, rows, count):
+@pytest.mark.parametrize(
+    ("rows", "count", "variants"), [(1000, 8, 2), (4_000_000, 5, 1), (10**9, 3, 1)]
+)
+def test_large_outputs_are_probed_less_often(subject_of, rows, count, variants):
     text = f"m (float[1] time) => (float[{rows}, 10] gaussians, float[{rows}, 3] color) "
     text += "{ gaussians = Neg (time) color = Neg (time) }"
     subject = subject_of(model(text), manifest_of(rows))
     assert make_plan(subject, Level.VALUES).values == 1 + count
+    assert len(make_plan(subject, Level.BEHAVIOUR).variants["time"][1]) == variants
 
 
 def enhancer(shape):

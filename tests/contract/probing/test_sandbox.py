@@ -312,6 +312,20 @@ with execute(Path(sys.argv[1]), ["y"], [], Limits()) as execution:
 """
 
 
+def test_outputs_that_exceed_the_disk_limit_are_not_stored(folder):
+    job_folder = folder / "job"
+    job_folder.mkdir()
+    outputs = {"y": np.zeros(1 << 16, np.float32)}
+    with pytest.raises(OSError, match="more than 0 MiB, four times the memory limit"):
+        sandbox_worker.keep_outputs(job_folder, outputs, {}, lambda *_, **__: None, disk=1 << 17)
+    assert list(job_folder.iterdir()) == []
+    sandbox_worker.keep_outputs(job_folder, outputs, {}, lambda *_, **__: None, disk=1 << 19)
+    with pytest.raises(OSError, match="four times"):
+        sandbox_worker.keep_outputs(
+            job_folder, {"y": outputs["y"] + 1}, {}, lambda *_, **__: None, disk=1 << 19
+        )
+
+
 @pytest.mark.usefixtures("children")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_child_killed_from_outside_is_a_fault_of_the_host(folder, monkeypatch, number):
@@ -454,10 +468,10 @@ def test_an_extra_probe_that_a_limit_does_not_allow_has_no_outputs(
     limits = Limits(seconds=seconds)
     keep_outputs = sandbox_worker.keep_outputs
 
-    def keep(*arguments, thin):
+    def keep(*arguments, thin, **options):
         if thin:
             raise MemoryError("Unable to allocate 206. MiB")
-        return keep_outputs(*arguments)
+        return keep_outputs(*arguments, **options)
 
     monkeypatch.setattr(sandbox_worker, "keep_outputs", keep)
     sandbox._write_job(job_folder, path, ["y"], [pair(1, 2), extra], limits, rows="", count="")

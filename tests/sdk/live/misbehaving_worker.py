@@ -26,7 +26,7 @@ def _work(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     if how == "crash in a replay":
         for phase in ("plain", "captured"):
             emit("begin", phase=phase, probe=0)
-            sample = keep_outputs(folder, {"y": np.zeros(1, np.float32)}, {}, emit)
+            sample = keep_outputs(folder, {"y": np.zeros(1, np.float32)}, {}, emit, disk=1 << 20)
             emit("frame", phase=phase, frame=0, sample=sample)
             if phase == "captured":
                 emit("accepted")

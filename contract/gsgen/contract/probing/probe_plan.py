@@ -69,7 +69,7 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         return Plan(probes=(*first, *away_probes), values=len(first), trials=trials, seed=seed)
     repeated_count = len(first) + len(away_probes)
     probes = [*first, *away_probes, first[base], first[base]]
-    other_probes = (first[-1], first[len(first) // 2])[:_MAX_VARIANTS]
+    other_probes = (first[-1], first[len(first) // 2])[: _affordable_variants(subject, count)]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
     for role, changed_probes in dependency_probes(manifest, first[base], other_probes):
         variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed_probes))))
@@ -139,6 +139,14 @@ def probed_bytes(subject: InspectedModel) -> int:
 def _affordable_probes(subject: InspectedModel) -> int:
     """Return the number of test runs whose inputs and outputs fit the memory budget."""
     return max(_MIN_PROBES, min(_MAX_PROBES, _OUTPUT_BUDGET // max(_frame_bytes(subject), 1)))
+
+
+def _affordable_variants(subject: InspectedModel, values: int) -> int:
+    """Return the number of variants of each role whose outputs fit the budget, but at least one."""
+    manifest = subject.manifest
+    roles = len({entry.role for entry in manifest.inputs}) if manifest else 0
+    affordable = _OUTPUT_BUDGET // max(_frame_bytes(subject), 1) - values
+    return max(1, min(_MAX_VARIANTS, affordable // max(roles, 1)))
 
 
 def _frame_bytes(subject: InspectedModel) -> int:

@@ -217,6 +217,7 @@ def _write_job(
         "placements": [probe.placement and asdict(probe.placement) for probe in probes],
         "optimise": [probe.optimise for probe in probes],
         "memory": limits.memory,
+        "disk": limits.disk,
         "seconds": limits.seconds,
         **options,
     }

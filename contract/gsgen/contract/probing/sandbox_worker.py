@@ -124,7 +124,9 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
                 if job["survey"][probe]:
                     sample = _survey_outputs(by_name, known, emit, job)
                 else:
-                    sample = keep_outputs(folder, by_name, known, emit, thin=extra)
+                    sample = keep_outputs(
+                        folder, by_name, known, emit, disk=job["disk"], thin=extra
+                    )
             except OSError:
                 raise  # of a file: a fault of this machine
             except Exception as error:
@@ -245,23 +247,37 @@ def keep_outputs(
     known: dict[str, int],
     emit: EmitMessage,
     *,
+    disk: int,
     thin: bool = False,
 ) -> int:
     """Store the outputs of a run unless equal ones are stored; return the stored set's index.
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
+
+    Raises:
+        OSError: The files in the folder would take more than ``disk`` bytes, or cannot be written.
     """
     key = digest_outputs(outputs)
     if key not in known:
         known[key] = len(known)
         files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
+        arrays = {n: subsample_rows(outputs[n]) if thin else outputs[n] for n in files}
+        _require_room(folder, sum(array.nbytes for array in arrays.values()), disk)
         for name, file in files.items():
-            array = subsample_rows(outputs[name]) if thin else outputs[name]
-            np.save(folder / file, array, allow_pickle=False)
+            np.save(folder / file, arrays[name], allow_pickle=False)
         not_finite = [name for name, value in outputs.items() if thin and not _is_finite(value)]
         facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
+
+
+def _require_room(folder: Path, size: int, disk: int) -> None:
+    """Raise if a folder's files and ``size`` more bytes exceed ``disk`` bytes."""
+    with os.scandir(folder) as entries:
+        size += sum(entry.stat().st_size for entry in entries)
+    if size > disk:
+        message = f"they take more than {disk >> 20:,} MiB, four times the memory limit"
+        raise OSError(errno.EDQUOT, message)
 
 
 def digest_outputs(outputs: dict[str, np.ndarray]) -> str:

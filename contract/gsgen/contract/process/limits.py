@@ -25,6 +25,7 @@ DRIVER_BYTES: Final = 2 << 30
 """Memory for drivers and shader compilers, in addition to the model's."""
 
 _MODEL_COPIES = 5
+_DISK_RATIO = 4
 _OUT_OF_MEMORY = (
     "bad_alloc",
     "bad allocation",
@@ -57,6 +58,11 @@ class Limits:
             raise ConfigInvalid(
                 f"time and memory are {actual}, expected limits above 0", where="limits"
             )
+
+    @property
+    def disk(self) -> int:
+        """Bytes of files that a worker may write: all distinct outputs of its runs."""
+        return _DISK_RATIO * self.memory
 
     def for_model(self, size: int) -> "Limits":
         """Return the process limits with memory added for loading ``size`` bytes of weights.

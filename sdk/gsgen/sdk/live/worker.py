@@ -172,7 +172,7 @@ class _FrameRunner:
             yield inputs_of(index)
 
     def _emit_frame(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
-        sample = keep_outputs(self.folder, outputs, self.known, self.emit)
+        sample = keep_outputs(self.folder, outputs, self.known, self.emit, disk=self.job["disk"])
         self.emit("frame", phase=phase, frame=self.index, sample=sample)
 
     def _run_uncaptured(self) -> None:
