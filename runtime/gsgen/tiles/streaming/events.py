@@ -1,13 +1,15 @@
 """Writes the event log of a streaming session: a JSON line per frame, and per neural-tile event."""
 
-__all__ = ["EventLog", "NeuralEvents"]
+__all__ = ["EventLog", "NeuralEvents", "print_line"]
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import final
 
+from gsgen.contract._safe_text import printable
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.selection.frustum import Frustum
@@ -99,3 +101,8 @@ class EventLog:
     def close(self) -> None:
         """Close the event log."""
         self._file.close()
+
+
+def print_line(line: str) -> None:
+    """Print a line about a tile to standard error."""
+    sys.stderr.write(f"gsgen: {printable(line)}\n")

@@ -1,8 +1,7 @@
 """Streams a tileset: takes a camera each frame, and returns tiles to upload and to draw."""
 
-__all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session", "print_line"]
+__all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from gsgen.contract._safe_text import printable
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats.glb.container import Container
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
@@ -31,7 +29,7 @@ from gsgen.tiles.streaming.clock import Clock, SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
-from gsgen.tiles.streaming.events import EventLog
+from gsgen.tiles.streaming.events import EventLog, print_line
 from gsgen.tiles.streaming.fetch import (
     RETRY_AFTER,
     ArrivalLink,
@@ -74,12 +72,10 @@ class SessionOptions:
         cache_folder: Of the disk cache; the user's where absent.
         allow_origins: Other origins that redirects may lead to.
         log: File of events as JSON lines; None for none.
-        neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
-            splats of these tiles.
+        neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
         provider: Execution provider of ONNX Runtime for these generators.
         confined: Runs models in child processes with limits; None runs them in this process.
-        runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
-            for every run.
+        runs_per_second: Most runs of all generators in a second; infinite to wait for each run.
         retry_seconds: Until a tile that a server did not give is requested again, at first.
     """
 
@@ -114,15 +110,13 @@ def open_session(
         source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
         options: How it is streamed.
         report: Receives a line for each tile that cannot be had; stderr where absent.
-        report_generators: Receives a line for each generator of a neural tile that cannot run;
-            ``report`` where absent.
+        report_generators: Receives a line for each generator that cannot run; as ``report``.
 
     Raises:
         TilesetInvalid: The index is wrong.
     """
     options = options or SessionOptions()
-    # A file that cannot be opened fails before anything else is read.
-    make_predictor = predictor_maker(options.predictor, options.confined)
+    make_predictor = predictor_maker(options.predictor, options.confined)  # fails at once
     store, index = open_store(source, allow_origins=options.allow_origins)
     try:
         tileset = load_tileset(store, index, name=str(source))
@@ -156,11 +150,6 @@ def open_session(
     except BaseException:
         store.close()
         raise
-
-
-def print_line(line: str) -> None:
-    """Print a line about a tile to standard error."""
-    sys.stderr.write(f"gsgen: {printable(line)}\n")
 
 
 @final
@@ -213,8 +202,7 @@ class TilesetSession:
         self.upload_budget = options.upload_budget
         self.pool_slots = -(-options.max_splats // options.slot_rows)
         self._options, self._link, self._clock = options, link, clock
-        self._report, self._store = report, store
-        self._report_generators = report_generators or report
+        self._report, self._store, self._report_generators = report, store, report_generators
         self._recorder = MetricsRecorder(tree.parent, tree.size)
         self._frustum: Frustum | None = None
         make_predictor = make_predictor or predictor_maker(options.predictor, options.confined)
@@ -256,7 +244,7 @@ class TilesetSession:
             ),
             sh_degree=self.sh_degree,
             max_rows=self.pool_slots * self.slot_rows,
-            report=self._report_generators,
+            report=self._report_generators or self._report,
             log=self._log,
         )
 

@@ -24,9 +24,10 @@ from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
+from gsgen.tiles.streaming.events import print_line
 from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
-from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session, print_line
+from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 
 if TYPE_CHECKING:

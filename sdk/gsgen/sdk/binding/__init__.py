@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Final
 from gsgen import _lazy_names
 
 if TYPE_CHECKING:
+    from gsgen.contract.process.limits import Limits
     from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
+    from gsgen.sdk.binding.confined.models import ConfinedModels
     from gsgen.sdk.binding.frame import Frame
     from gsgen.sdk.binding.providers.cancellation import Stop
     from gsgen.sdk.binding.providers.errors import (
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession
 
 __all__ = [
-    "CameraLike", "CaptureOff", "Frame", "FrameExpired", "FrameSession", "InputInvalid", "NodesOnCpu",
+    "CameraLike", "CaptureOff", "ConfinedModels", "Frame", "FrameExpired", "FrameSession",
+    "InputInvalid", "Limits", "NodesOnCpu",
     "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
 ]  # fmt: skip
 
@@ -32,10 +35,12 @@ __all__ = [
 _MODULE_BY_NAME: Final = {
     "CameraLike": "gsgen.sdk.binding.camera_inputs",
     "Pinhole": "gsgen.sdk.binding.camera_inputs",
+    "ConfinedModels": "gsgen.sdk.binding.confined.models",
     "Frame": "gsgen.sdk.binding.frame",
     "Stop": "gsgen.sdk.binding.providers.cancellation",
     "CaptureOff": "gsgen.sdk.binding.providers.errors",
     "FrameExpired": "gsgen.sdk.binding.providers.errors",
+    "Limits": "gsgen.contract.process.limits",
     "InputInvalid": "gsgen.sdk.binding.providers.errors",
     "NodesOnCpu": "gsgen.sdk.binding.providers.errors",
     "ProviderUnavailable": "gsgen.sdk.binding.providers.errors",

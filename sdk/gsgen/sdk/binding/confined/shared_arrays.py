@@ -2,7 +2,6 @@
 
 __all__ = ["SharedArraySlot", "SharedMemory", "create_memory_file"]
 
-import fcntl
 import math
 import mmap
 import os
@@ -36,7 +35,9 @@ def create_memory_file(size: int) -> int:
         HostProcessFailed: The system refuses it.
     """
     try:
-        if hasattr(os, "memfd_create"):
+        if hasattr(os, "memfd_create"):  # Linux alone
+            import fcntl  # not on Windows, where this module is imported
+
             file = os.memfd_create("gsgen", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
             os.ftruncate(file, size)
             seals = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
