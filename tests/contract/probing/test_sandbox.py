@@ -141,7 +141,7 @@ def test_a_file_that_is_no_model_is_a_fault_of_loading(folder):
     path.write_bytes(b"Hello, world!")
     fault, execution = fault_of(path, ["y"], [pair(1, 2)])
     assert (fault.stage, fault.probe) == ("load", None)
-    assert fault.message == "is not an ONNX model but text"
+    assert fault.message == "is not an ONNX model but text that begins 'Hello, world!'"
     assert execution.events == ()
     assert execution.samples == ()
 
@@ -433,6 +433,7 @@ def test_the_job_is_plain_data(folder):
         "placements": [None],
         "optimise": [True],
         "memory": 5,
+        "disk": 20,
         "seconds": 120.0,
     }
 
