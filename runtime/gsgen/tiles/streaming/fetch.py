@@ -22,7 +22,7 @@ FetchedType = TypeVar("FetchedType")
 DecodedType = TypeVar("DecodedType")
 RETRY_AFTER: Final = 30.0
 """Seconds after which a file that could not be had for now is requested again, at first."""
-_MOST_AWAITED_FAILURES: Final = 3  # of a tile for which a picture still waits
+_MOST_AWAITED_FAILURES: Final = 5  # of a tile for which a picture still waits
 _DECODER_THREADS = 2  # threads that decode at once: more would take frames their time
 
 ByteProgressCallback = Callable[[int], None]
