@@ -27,6 +27,7 @@ Every other exception that leaves a public function is a fault of gsgen.
 __all__ = [
     "ConfigInvalid",
     "ExitCode",
+    "FileNote",
     "GsgenError",
     "HostProcessFailed",
     "InputUnreadable",
@@ -97,6 +98,10 @@ class GsgenError(Exception):
     def __str__(self) -> str:
         head = f"{self.where}: {self.message}" if self.where else self.message
         return f"{head}\n  {self.hint}" if self.hint else head
+
+
+class FileNote(UserWarning):
+    """Base class of warnings about input files, which every command prints as notes."""
 
 
 class InputUnreadable(GsgenError):

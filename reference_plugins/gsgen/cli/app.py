@@ -7,11 +7,13 @@ import errno
 import gc
 import os
 import sys
-from contextlib import suppress
-from typing import Never
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Never, TextIO
 
 from gsgen.cli.text_streams import accept_any_text, open_closed_streams, safe_streams
-from gsgen.contract.errors import ExitCode, GsgenError
+from gsgen.contract.errors import ExitCode, FileNote, GsgenError
 from gsgen.contract.process.drafts import remove_own_drafts
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
@@ -53,7 +55,8 @@ def _run() -> None:
         arguments = [*arguments[1:], "--help"]
     try:
         try:
-            _dispatch(arguments)
+            with _notes_printed():
+                _dispatch(arguments)
         finally:
             sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:
@@ -72,6 +75,32 @@ def _run() -> None:
         raise
     except BaseException:  # a crash is neither a verdict nor a wrong option
         _crash()
+
+
+@contextmanager
+def _notes_printed() -> Iterator[None]:
+    """Print each warning about an input file once, as a note, on standard error."""
+    printed_texts: set[str] = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", FileNote)
+        show_other = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if not issubclass(category, FileNote):
+                show_other(message, category, filename, lineno, file, line)
+            elif str(message) not in printed_texts:
+                printed_texts.add(str(message))
+                print(f"note: {message}", file=sys.stderr)
+
+        warnings.showwarning = show
+        yield
 
 
 def _dispatch(arguments: list[str]) -> None:

@@ -28,7 +28,7 @@ from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.checkpoints.torch_archive import PICKLE_MEMBER
 from gsgen.formats.glb import container as glb_container
-from gsgen.formats.glb.glb import read_glb, write_glb
+from gsgen.formats.glb.glb import is_gltf_of_splats, read_glb, write_glb
 from gsgen.formats.ksplat import looks_like_ksplat, read_ksplat
 from gsgen.formats.npz import read_npz
 from gsgen.formats.ply.compressed_ply import compressed_order, write_compressed_ply
@@ -59,7 +59,7 @@ class Codec:
         title: The name in a sentence.
         contents: The versions and variants that are read, for the documentation.
         suffixes: The ends of file names; the first one is the usual one.
-        read: Reads a file.
+        read: Reads a file; ``drop_invalid`` drops rows that cannot be drawn.
         write: Writes splats to a file; None if the format is only read.
         frame_writer: Returns a writer of successive frames, which does not repeat what they share;
             None where each file is written anew.
@@ -77,7 +77,7 @@ class Codec:
     title: str
     contents: str
     suffixes: tuple[str, ...]
-    read: Callable[[FilePath], Content]
+    read: Callable[..., Content]
     write: Callable[[FilePath, Splats], None] | None = None
     frame_writer: Callable[[], Callable[[FilePath, Splats], None]] | None = None
     magic_prefixes: tuple[bytes, ...] = ()
@@ -101,8 +101,8 @@ CODECS: Final = (
         write=write_ply,
         frame_writer=lambda: PlyFrames().write,
         magic_prefixes=PLY_MAGIC,
-        keeps_flags=frozenset({"antialiased"}),
-        loss="nothing, bit for bit (the flag of linear colours aside)",
+        keeps_flags=frozenset({"antialiased", "color_space", "up"}),
+        loss="nothing, bit for bit",
         source="graphdeco-inria/gaussian-splatting",
     ),
     Codec(
@@ -112,7 +112,7 @@ CODECS: Final = (
         suffixes=(".compressed.ply",),
         read=read_ply,  # its marks are those of PLY, whose reader sees the packed words
         write=write_compressed_ply,
-        keeps_flags=frozenset({"antialiased"}),
+        keeps_flags=frozenset({"antialiased", "up"}),
         order=compressed_order,
         loss="steps within the box of 256 neighbours: positions and scales 1/2047 (y: 1/1023), "
         "colours 1/255; opacity 1/255, rotations 0.2°, harmonics 1/32 from −4 to 4; the order of "
@@ -137,11 +137,12 @@ CODECS: Final = (
     Codec(
         name="glb",
         title="GLB",
-        contents="glTF binaries with KHR_gaussian_splatting",
+        contents="glTF binaries, and .gltf, with KHR_gaussian_splatting",
         suffixes=(".glb",),
         read=read_glb,
         write=write_glb,
         magic_prefixes=(glb_container.MAGIC,),
+        matches_content=lambda head, _: is_gltf_of_splats(head),
         keeps_flags=frozenset({"color_space"}),
         loss="the last digits of scales, opacities and rotations",
         source="KhronosGroup/glTF",

@@ -14,12 +14,13 @@ from gsgen.formats.loss import Difference, differences
 from gsgen.formats.open import open_splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.parts import PART_WRITERS, PlyParts, open_parts, with_degree
+from gsgen.formats.ply.chunks import PlyTable
 from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
-from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import DEFAULT_UP, PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import is_streamed_meta
 from gsgen.formats.sog.sog import written_bytes
 from gsgen.formats.tileset_paths import names_tileset
@@ -83,7 +84,7 @@ def convert(
         target: The output path. An existing file is replaced, a missing folder is created.
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
-        drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them.
+        drop_invalid: Drop rows that cannot be drawn, and warn about them.
         edits: Applied to the merged splats, in this order.
         read: Replaces the reader of the sources, for example to set options.
         read_back: Replaces the reader of the target.
@@ -122,8 +123,7 @@ def convert(
         splats = edit(splats)
     reduced = with_degree(splats, most_degree)
     degree = (splats.degree, reduced.degree)
-    linear = splats.color_space == "linear"
-    lost_features = _lost_features(degree, codec, antialiased=splats.antialiased, linear=linear)
+    lost_features = _lost_features(degree, codec, splats)
     del splats
     step(f"writing {target}")
     make_folder(target)
@@ -175,7 +175,7 @@ def _convert_parts(
         count=count,
         degree=degrees,
         sizes=(written_bytes(parts.path), written_bytes(target)),
-        lost=_lost_features(degrees, codec, antialiased=parts.table.antialiased, linear=False),
+        lost=_lost_features(degrees, codec, parts.table),
         differences=(),
         compared=False,
     )
@@ -196,9 +196,9 @@ def merge_splats(parts: Sequence[Splats]) -> Splats:
     """Concatenate sets of splats; SH coefficients that a set lacks are zero.
 
     Raises:
-        ValueInvalid: One part is antialiased or has linear colours, and another one not.
+        ValueInvalid: The parts differ in antialiasing, colour space or upward direction.
     """
-    for flag in ("antialiased", "color_space"):
+    for flag in ("antialiased", "color_space", "up"):
         values = {getattr(part, flag) for part in parts}
         if len(values) > 1:
             raise ValueInvalid(
@@ -245,15 +245,18 @@ def _convert_points(
 
 
 def _lost_features(
-    degrees: tuple[int, int], codec: Codec, *, antialiased: bool, linear: bool
+    degrees: tuple[int, int], codec: Codec, source: Splats | PlyTable
 ) -> tuple[str, ...]:
     lost_feature_names = []
     if degrees[1] < degrees[0]:
         lost_feature_names.append(f"harmonics above degree {degrees[1]}")
-    if antialiased and "antialiased" not in codec.keeps_flags:
+    if source.antialiased and "antialiased" not in codec.keeps_flags:
         lost_feature_names.append("the flag that the splats are antialiased (Mip-Splatting)")
-    if linear and "color_space" not in codec.keeps_flags:
+    if source.color_space == "linear" and "color_space" not in codec.keeps_flags:
         lost_feature_names.append("the flag that the colours are linear")
+    if source.up != DEFAULT_UP and "up" not in codec.keeps_flags:
+        direction = ", ".join(f"{value:g}" for value in source.up)
+        lost_feature_names.append(f"the upward direction ({direction})")
     if codec.order:
         lost_feature_names.append("the order of the splats")
     return tuple(lost_feature_names)

@@ -12,13 +12,19 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, read_array, require_length
+from gsgen.formats.shared.bytes import (
+    DOWNLOAD_HINT,
+    Data,
+    contents,
+    not_recognised,
+    read_array,
+    require_length,
+)
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.joined import join_splats
-from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
-from gsgen.formats.shared.recognition import not_recognised
-from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.quantities import SH_C0, log, logit, unit_or_zero
+from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
 __all__ = ["looks_like_ksplat", "read_ksplat"]
@@ -63,8 +69,10 @@ class _Section:
     end: int
 
 
-def read_ksplat(path: FilePath) -> Splats:
+def read_ksplat(path: FilePath, *, drop_invalid: bool = False) -> Splats:
     """Read the KSPLAT file at ``path`` as splats of the highest SH degree in the file.
+
+    Invalid rows are refused, or dropped with a warning.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -75,9 +83,7 @@ def read_ksplat(path: FilePath) -> Splats:
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
-        splats = decode_ksplat(data)
-        require_drawable(splats)
-        return splats
+        return drawable(decode_ksplat(data), path, drop_invalid=drop_invalid)
 
 
 def looks_like_ksplat(head: bytes, size: int) -> bool:
@@ -189,7 +195,7 @@ def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, fl
     higher = _harmonics(rows["sh"], level, sh_range)
     return Splats(
         position=_positions(data, section, rows, level),
-        rotation=unit(rows["rotation"]),
+        rotation=unit_or_zero(rows["rotation"]),
         log_scale=log(
             rows["scale"]
         ),  # a negative scale becomes NaN, which require_drawable refuses

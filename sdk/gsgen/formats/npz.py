@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
+from gsgen.formats.shared.bytes import not_recognised
 from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, open_file
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
-from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.shared.splats import PackedRows, PointCloud
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
@@ -24,18 +25,21 @@ _POSITION_NAMES = ("points", "xyz", "means3d")
 _COLORS_KEY = "colors"
 
 
-def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
+def read_npz(
+    path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool = False
+) -> PointCloud | PackedRows:
     """Read the packed Gaussians, or else the coloured points, of the .npz archive at ``path``.
 
     The first are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
     is kept. Points are ``colors`` [n, 3] in uint8 or in floats from 0 to 1, and one of
-    ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32. Other arrays are ignored.
+    ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32. Other arrays are named in a FormatWarning.
 
     Args:
         path: The archive, as ``np.savez`` or ``np.savez_compressed`` writes it.
         max_bytes: The limit of the memory that the needed arrays may take. Their declared
             sizes are checked before they are unpacked, so a small archive of huge arrays is
             refused.
+        drop_invalid: Accepted as in other readers; packed rows and points are never dropped.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -53,6 +57,8 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             keys = _choose_arrays([name[:-4] for name in archive.namelist() if name[-4:] == ".npy"])
             arrays = read_arrays(archive, keys, max_bytes)
+            names = [name for name in archive.namelist() if name.removesuffix(".npy") not in keys]
+        warn_unused(path, [f"array {name.removesuffix('.npy')}" for name in names])
         return _packed(*arrays) if keys == _PACKED_NAMES else _cloud(keys[0], *arrays)
 
 

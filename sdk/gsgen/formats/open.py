@@ -3,15 +3,15 @@
 __all__ = ["open_splats", "require_codec"]
 
 from dataclasses import replace
-from functools import partial
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
 from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
 from gsgen.formats.inputs import resolve_input, training_folder
-from gsgen.formats.ply.ply import read_ply
 from gsgen.formats.shared.errors import FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.shared.suspicions import warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
 
 
@@ -24,8 +24,8 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
 
     Args:
         path: The file.
-        drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them
-            (FormatWarning); see :func:`read_ply`.
+        drop_invalid: Drop rows that cannot be drawn, and warn about them (FormatWarning); see
+            :func:`read_ply`.
 
     Returns:
         ``Splats``; or ``PointCloud`` where a PLY or NPZ file holds points, or
@@ -45,8 +45,11 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
     run = training_folder(path)
     file = resolve_input(path)
     codec = require_codec(file)
-    read = partial(read_ply, drop_invalid=True) if drop_invalid and codec.name == "ply" else None
-    content = (read or codec.read)(file)
+    content = codec.read(file, drop_invalid=drop_invalid)
+    if run is not None:
+        warn_unused(path, [f"file {name}" for name in run.unused])
+    if isinstance(content, Splats):
+        warn_of_suspicions(content, file)
     if run is not None and run.antialiased and isinstance(content, Splats):
         return replace(content, antialiased=True)
     return content

@@ -12,16 +12,14 @@ import numpy as np
 from gsgen.formats.editing.edits import ParsedEdit, no_splats_left
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.ply.layout import splat_names
-from gsgen.formats.ply.methods import (
-    FILTER_PROPERTY,
-    require_still_splats,
-    warn_of_unknown_properties,
-)
+from gsgen.formats.ply.methods import FILTER_PROPERTY, require_still_splats
 from gsgen.formats.ply.values import require_splats
 from gsgen.formats.ply.write import write_ply_parts
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.shared.suspicions import SAMPLED_ROWS, warn_of_suspicions
 from gsgen.formats.sog.write import write_sog_parts
 from gsgen.formats.spz.spz import write_spz_parts
 
@@ -156,5 +154,7 @@ def open_parts(
         return None
     with naming(path):
         require_still_splats(table.columns)
-    warn_of_unknown_properties(table.columns, names, path)
+    warn_unused(path, table.unused)
+    sample = read_ply_rows(path, table, 0, min(table.count, SAMPLED_ROWS))
+    warn_of_suspicions(sample, path, table.count)
     return PlyParts(path=path, table=table, edits=is_row_wise, most_degree=most_degree)

@@ -11,8 +11,8 @@ from jaxtyping import Float32
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, read_array
 from gsgen.formats.shared.errors import FileTruncated
 from gsgen.formats.shared.files import FilePath, naming, replace_file
-from gsgen.formats.shared.quantities import SH_C0, log, logit, sigmoid, to_bytes, unit
-from gsgen.formats.shared.splat_values import linear_scale, require_drawable
+from gsgen.formats.shared.quantities import SH_C0, log, logit, sigmoid, to_bytes, unit, unit_or_zero
+from gsgen.formats.shared.splat_values import drawable, linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats
 
 __all__ = ["looks_like_splat", "read_splat", "write_splat"]
@@ -25,8 +25,8 @@ _SAMPLED_ROWS = 256
 _QUATERNION_LENGTHS = (0.9, 1.1)  # of a quaternion whose components are rounded to 1/128
 
 
-def read_splat(path: FilePath) -> Splats:
-    """Read the SPLAT file at ``path``.
+def read_splat(path: FilePath, *, drop_invalid: bool = False) -> Splats:
+    """Read the SPLAT file at ``path``; invalid rows are refused, or dropped with a warning.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -34,9 +34,7 @@ def read_splat(path: FilePath) -> Splats:
         ValueInvalid: A value cannot be drawn: NaN, infinite, or a negative scale.
     """
     with contents(path) as data:
-        splats = decode_splat(data)
-        require_drawable(splats)
-        return splats
+        return drawable(decode_splat(data), path, drop_invalid=drop_invalid)
 
 
 def decode_splat(data: Data) -> Splats:
@@ -55,7 +53,7 @@ def decode_splat(data: Data) -> Splats:
     rotation = (records["rotation"].astype(np.float32) - 128) / 128
     return Splats(
         position=records["position"].astype(np.float32),
-        rotation=unit(rotation),
+        rotation=unit_or_zero(rotation),
         log_scale=log(
             records["scale"]
         ),  # a negative scale becomes NaN, which require_drawable refuses

@@ -21,7 +21,8 @@ SPLATS: Final = (
 )
 MESH_RENDER_HINT: Final = "A mesh: `gsgen render` draws it."
 MODEL: Final = (
-    "`gsgen render` draws it, `gsgen bake` writes its splats, `gsgen validate` checks it."
+    "With the suffix .onnx, `gsgen render` draws it, `gsgen bake` writes its splats, and "
+    "`gsgen validate` checks it."
 )
 TILESET: Final = "`gsgen render`, `gsgen validate` and `gsgen tiles info` take its tileset.json."
 CAMERAS: Final = "Cameras: give it to `gsgen render --camera`, beside the scene."

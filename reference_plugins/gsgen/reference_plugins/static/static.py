@@ -24,7 +24,7 @@ from gsgen.contract.spec.spherical_harmonics import (
     coefficients,
 )
 from gsgen.formats import PackedRows, PointCloud, Splats
-from gsgen.sdk.exporting.constant_generator import ConstantRows, ConstantSource
+from gsgen.sdk.exporting.constant_generator import Axis, ConstantRows, ConstantSource
 from gsgen.sdk.exporting.pipeline import Dtype
 from gsgen.sdk.exporting.sh_degrees import REQUIRED_DEGREES, stored_degree
 
@@ -33,6 +33,8 @@ INITIAL_OPACITY = 0.1
 # The published initialisation clamps squared distances here, so that duplicates have a size.
 _SMALLEST_SQUARE = 1e-7
 _NEIGHBOUR_COUNT = 3
+_AXES: tuple[Axis, ...] = ("+x", "+y", "+z", "-x", "-y", "-z")
+_NEARLY_ONE = 0.9999
 _UP_DIRECTION = np.array([[0.0, -1.0, 0.0]])
 
 
@@ -98,6 +100,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
     if splats.degree > degree:
         notes.append(f"SH degree {splats.degree} is cut to {degree}")
     degree, note = stored_degree(degree, half=dtype == "float16")
+    up, up_note = _axis_of(splats.up)
     # exp(-(-inf)) is inf, and 1 / (1 + inf) is 0, the opacity that -inf stands for.
     with np.errstate(over="ignore"):
         opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
@@ -115,9 +118,20 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
         space="sh",
         description=f"{len(splats):,} splats of SH degree {splats.degree}",
         color_space=splats.color_space,
+        up=up,
         antialias="mip" if splats.antialiased else "classic",
-        notes=tuple(filter(None, (*notes, note))),
+        notes=tuple(filter(None, (*notes, note, up_note))),
     )
+
+
+def _axis_of(up: tuple[float, float, float]) -> tuple[Axis, str]:
+    """Return the axis nearest to an upward direction, and a note if they differ."""
+    index = int(np.argmax(np.abs(up)))
+    axis = _AXES[index + 3 * (up[index] < 0)]
+    if abs(up[index]) > _NEARLY_ONE:
+        return axis, ""
+    numbers = ", ".join(f"{value:.3g}" for value in up)
+    return axis, f"the upward direction ({numbers}) is declared as {axis}, the nearest axis"
 
 
 def _resize_sh(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:

@@ -2,7 +2,6 @@
 
 __all__ = ["PLUGIN", "build"]
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -67,15 +66,9 @@ def build(
 
 
 def _read(file: Path) -> "Splats | PointCloud | PackedRows":
-    from gsgen.formats import FormatWarning
     from gsgen.tiles.loading.leaves import open_splats
 
-    with warnings.catch_warnings(record=True) as caught_warnings:
-        warnings.simplefilter("always", FormatWarning)
-        content = open_splats(file, drop_invalid=True)
-    for warning in caught_warnings:
-        note(f"note: {warning.message}")
-    return content
+    return open_splats(file, drop_invalid=True)
 
 
 def _describe(content: "Splats | PointCloud | PackedRows") -> str:

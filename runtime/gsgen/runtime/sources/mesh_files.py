@@ -7,6 +7,7 @@ import struct
 import warnings
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from io import BytesIO
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +19,7 @@ from jaxtyping import Float, UInt8
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
+from gsgen.formats.glb.splats import READABLE_EXTENSIONS
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
@@ -166,7 +168,9 @@ def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool)
         # Names in other encodings must not raise errors.
         content = content.decode("utf-8", "replace").encode()
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # pillow warns of pictures that need too much memory
+        # Other warnings of the libraries are no verdict on the file.
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", ".*decompression bomb")  # pictures of too much memory
         scene: trimesh.Scene = library.load_scene(
             BytesIO(content), file_type=kind, resolver=_resolver(library, path), **options
         )
@@ -372,11 +376,12 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
         message = f"the glTF document is a {type(document).__name__}, expected an object"
         raise SceneInvalid(message, where="JSON")
     for name in document.get("extensionsRequired", []):
-        if name in _COMPRESSION_EXTENSIONS:
+        if not any(fnmatchcase(str(name), pattern) for pattern in READABLE_EXTENSIONS):
+            is_packed = name in _COMPRESSION_EXTENSIONS
             raise SceneInvalid(
                 f"needs {name}, which is not supported",
                 where="extensionsRequired",
-                hint="Export the file without compression.",
+                hint=f"Export the file without {'compression' if is_packed else 'it'}.",
             )
     room = size + sum(_buffer_size(path, buffer) for buffer in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):

@@ -1,12 +1,11 @@
 """Opens splat files, mesh files and ONNX generators as sources for the renderer."""
 
-__all__ = ["is_model", "open_source"]
+__all__ = ["open_source"]
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -40,7 +39,7 @@ def open_source(
         SceneInvalid: The model is not a generator.
         SizeUnknown: A dimension has no size.
     """
-    if is_model(path):
+    if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes, confined)
     if names_tileset(path):
         if stream is None:
@@ -51,13 +50,3 @@ def open_source(
             )
         return stream(path, provider)
     return MeshSource(path) if is_mesh(path) else StillFrameSource(path)
-
-
-def is_model(path: Path) -> bool:
-    """Return whether a file is an ONNX model: by its content, or by its name if that is unknown."""
-    is_named_so = path.suffix.lower() == ".onnx"
-    try:
-        kind = kind_of_file(path)
-    except OSError:  # opening it reports the cause
-        return is_named_so
-    return is_named_so if kind is None else kind.name == "onnx"

@@ -11,6 +11,7 @@ __all__ = [
     "named",
 ]
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
@@ -23,7 +24,8 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.manifest import Input, Space, WeightedSum
-from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats
+from gsgen.formats import FormatError, FormatWarning, PackedRows, PointCloud, Splats, open_splats
+from gsgen.formats.shared.notices import MeshWarning
 from gsgen.runtime.errors import SceneUnreadable, locate_in_frame
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
@@ -32,6 +34,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSplatSet
 from gsgen.runtime.sources.framing import Box, box_around, union_of_boxes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
+from gsgen.runtime.sources.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
@@ -260,13 +263,21 @@ class StillFrameSource(StaticSource):
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         try:
-            content = open_splats(path, drop_invalid=True)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", FormatWarning)
+                content = open_splats(path, drop_invalid=True)
         except FormatError as error:
             raise SceneUnreadable(str(error)) from error
         self.data = _splat_data(content)
         if isinstance(content, Splats):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
+            self.up = content.up
+        for warning in caught:
+            if issubclass(warning.category, MeshWarning):
+                self.meshes = read_mesh(path)  # drawn among the splats
+            else:
+                warnings.warn(warning.message, warning.category, stacklevel=2)
 
 
 @final

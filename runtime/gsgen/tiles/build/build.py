@@ -10,7 +10,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar, final
 
@@ -21,6 +21,7 @@ from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
+from gsgen.tiles.build.frame import turned_transform
 from gsgen.tiles.build.neural_tiles import Generator
 from gsgen.tiles.build.octree import load_built
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
@@ -146,6 +147,9 @@ def build_tileset(
     """
     _require_output(output)
     files = open_scenes([path.resolve() for path in scenes])
+    if parameters.turn_upright:
+        turned = turned_transform(parameters.transform, files[0].up)
+        parameters = replace(parameters, transform=turned, turn_upright=False)
     output = output.resolve()
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)

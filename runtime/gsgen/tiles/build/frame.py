@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.formats.shared.splats import DEFAULT_UP
 from gsgen.tiles.format.volumes import ecef
 
 Z_UP_FROM_SCENE: Final[Float64[np.ndarray, "4 4"]] = np.array(
@@ -24,6 +25,26 @@ _TOLERANCE: Final = 1e-6
 def upright_transform() -> tuple[float, ...]:
     """Return the 4×4 transform from scene axes (y down) to world axes (z up), column-major."""
     return _columns(Z_UP_FROM_SCENE)
+
+
+def turned_transform(
+    transform: tuple[float, ...], up: tuple[float, float, float]
+) -> tuple[float, ...]:
+    """Return a transform for scenes of 3DGS (-y up) as one for scenes of another upward direction.
+
+    Args:
+        transform: Scene → world, column-major.
+        up: The upward direction of the scene, a unit vector.
+    """
+    turn = np.eye(4)
+    axis = np.cross(up, DEFAULT_UP)
+    cosine = float(np.dot(up, DEFAULT_UP))
+    if cosine < -1 + 1e-9:  # upside down: half a turn about x
+        turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    elif np.any(axis):
+        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        turn[:3, :3] += cross + cross @ cross / (1 + cosine)  # Rodrigues' formula
+    return _columns(np.array(transform).reshape(4, 4).T @ turn)
 
 
 def globe_transform(longitude: float, latitude: float, height: float) -> tuple[float, ...]:

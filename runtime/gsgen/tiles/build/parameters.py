@@ -30,6 +30,8 @@ class BuildParameters:
             first.
         implicit: Whether the tree is an implicit octree.
         transform: Of the root tile, scene → world: 16 numbers, column by column.
+        turn_upright: Whether the scenes' declared upward direction is first turned to that of
+            3DGS training, -y, which ``transform`` is for.
     """
 
     leaf: int = 65_536
@@ -37,6 +39,7 @@ class BuildParameters:
     qualities: tuple[int, ...] = (0,)
     implicit: bool = False
     transform: tuple[float, ...]
+    turn_upright: bool = False
 
     def as_dict(self) -> JsonDict:
         """Return the build parameters as a JSON object."""

@@ -9,24 +9,26 @@ __all__ = [
     "open_scenes",
     "read_chunk",
     "row_dtype",
-    "valid_rows",
 ]
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
 import numpy as np
-from jaxtyping import Bool
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, splats_of_rows
+from gsgen.formats import FormatError, FormatWarning, PackedRows, PointCloud, Splats, splats_of_rows
 from gsgen.formats.inputs import STANDARD_INPUT, resolve_input
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.errors import NotSupported
-from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.formats.shared.files import naming
+from gsgen.formats.shared.notices import warn_unused
+from gsgen.formats.shared.splats import DEFAULT_UP, SH_COUNTS
+from gsgen.formats.shared.suspicions import SAMPLED_ROWS, warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.loading.leaves import open_splats
 
@@ -35,8 +37,6 @@ CHUNK_BYTES: Final = 64 << 20
 
 BLOCK_ROWS: Final = 1 << 14
 """Chunks begin at multiples of so many rows of a file."""
-
-_LARGEST_LOG_SCALE: Final = 80.0  # float32 holds e^88
 
 
 @final
@@ -53,6 +53,7 @@ class SceneFile:
         table: Where a PLY file has its rows; None for a file that is decoded as a whole.
         antialiased: Whether the splats are trained with the filter of Mip-Splatting.
         color_space: Of their colours.
+        up: The declared upward direction.
     """
 
     path: str
@@ -63,6 +64,7 @@ class SceneFile:
     table: PlyTable | None
     antialiased: bool = False
     color_space: Literal["srgb", "linear"] = "srgb"
+    up: tuple[float, float, float] = DEFAULT_UP
 
 
 @final
@@ -95,7 +97,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
     files = [_opened(path) for path in paths]
     first = files[0]
     for file in files:
-        for name in ("color_space", "antialiased"):
+        for name in ("color_space", "antialiased", "up"):
             actual, expected = getattr(file, name), getattr(first, name)
             if actual != expected:
                 raise ConfigInvalid(
@@ -108,7 +110,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
 
 def _opened(path: Path) -> SceneFile:
     try:
-        if str(path) == STANDARD_INPUT:
+        if path.name == STANDARD_INPUT and not path.exists():
             raise NotSupported(
                 "standard input cannot be read twice, as a build does",
                 expected="a file of splats",
@@ -129,6 +131,10 @@ def _opened(path: Path) -> SceneFile:
         ) from error
     if table.count == 0:
         raise InputUnreadable("the file has 0 splats; expected at least one", where=str(path))
+    warn_unused(path, table.unused)
+    with naming(path):
+        sample = read_ply_rows(path, table, 0, min(table.count, SAMPLED_ROWS))
+    warn_of_suspicions(sample, path, table.count)
     return SceneFile(
         path=str(path),
         count=table.count,
@@ -136,6 +142,9 @@ def _opened(path: Path) -> SceneFile:
         size=status.st_size,
         modified=status.st_mtime_ns,
         table=table,
+        antialiased=table.antialiased,
+        color_space=table.color_space,
+        up=table.up,
     )
 
 
@@ -155,11 +164,12 @@ def _decoded(path: Path, size: int, modified: int) -> SceneFile:
         table=None,
         antialiased=splats.antialiased,
         color_space=splats.color_space,
+        up=splats.up,
     )
 
 
 def _whole(path: Path) -> Splats:
-    content = open_splats(path)
+    content = open_splats(path, drop_invalid=True)
     if isinstance(content, PackedRows):
         return splats_of_rows(content)
     if isinstance(content, PointCloud):
@@ -200,23 +210,12 @@ def read_chunk(chunk: Chunk) -> Splats:
     """Read all splats of a chunk of a scene file, including splats that cannot be drawn."""
     try:
         if chunk.file.table is None:
-            return _whole(Path(chunk.file.path))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FormatWarning)  # opening the file has said it
+                return _whole(Path(chunk.file.path))
         return read_ply_rows(chunk.file.path, chunk.file.table, chunk.first, chunk.count)
     except FormatError as error:
         raise _unreadable(error) from error
-
-
-def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
-    """Return the mask of drawable splats: finite, but opacity logits may be ±∞, log scales −∞."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        valid = ~np.isnan(splats.logit_opacity)
-        for axis in range(3):  # a NaN fails the comparison
-            valid &= splats.log_scale[:, axis] <= _LARGEST_LOG_SCALE
-        for array in (splats.position, splats.rotation, splats.sh):
-            # A NaN or an infinity would show in the sum; most scenes have none.
-            if not np.isfinite(array.sum()):
-                valid &= np.isfinite(array.reshape(len(splats), -1)).all(axis=1)
-    return np.asarray(valid)
 
 
 def row_dtype(degree: int) -> np.dtype[Any]:

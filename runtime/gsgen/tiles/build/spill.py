@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from gsgen.formats.merging.morton import DEPTH, morton_codes
+from gsgen.formats.shared.splat_values import valid_rows
 from gsgen.formats.shared.splats import SH_COUNTS
 from gsgen.tiles.build.files import save_array
 from gsgen.tiles.build.plan import Partition, Plan, partition_of
 from gsgen.tiles.build.scan import anchor_depths
-from gsgen.tiles.build.source import Chunk, read_chunk, row_dtype, valid_rows
+from gsgen.tiles.build.source import Chunk, read_chunk, row_dtype
 
 Rows = np.ndarray[Any, np.dtype[Any]]
 

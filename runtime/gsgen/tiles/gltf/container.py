@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from typing import Final
 from urllib.parse import unquote_to_bytes
 
-from gsgen.formats.glb.container import Container, parse, require_uncompressed
+from gsgen.formats.glb.container import Container, parse, require_known_extensions
+from gsgen.formats.glb.splats import READABLE_EXTENSIONS
 from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, parse_object
@@ -39,7 +40,7 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
     if version != "2.0":
         document.child("asset").refuse("version", "2.0")
     with raise_as_fault(location, Fault.CONTENT):
-        require_uncompressed(document.values)
+        require_known_extensions(document.values, READABLE_EXTENSIONS)
     return _with_buffers(document, fetch)
 
 
@@ -79,7 +80,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
         views.append({**view.values, "buffer": 0, "byteOffset": starts[index] + offset})
     values = {**document.values, "bufferViews": views}
     values["buffers"] = [{"byteLength": len(joined)}]
-    return Container(values, bytes(joined), 0, len(joined))
+    return Container(document=values, data=bytes(joined), start=0, size=len(joined))
 
 
 def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:

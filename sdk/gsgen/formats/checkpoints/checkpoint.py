@@ -29,13 +29,13 @@ from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.checkpoints.methods import unsupported_content_error
 from gsgen.formats.checkpoints.pickled_data import TensorReference
 from gsgen.formats.checkpoints.torch_archive import TorchArchive
+from gsgen.formats.shared.bytes import not_recognised
 from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, open_file, stream_size
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
-from gsgen.formats.shared.recognition import not_recognised
-from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
 _GSPLAT: Final = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -56,11 +56,12 @@ class _CheckpointLayout:
     has_sigmoid_colors: bool = False
 
 
-def read_checkpoint(path: FilePath) -> Splats:
+def read_checkpoint(path: FilePath, *, drop_invalid: bool = False) -> Splats:
     """Read Gaussian splats from a training checkpoint without torch; no code in the file is run.
 
     The file does not say whether training drew antialiased; the settings beside it do
-    (``cfg.yml`` of gsplat, ``config.yml`` of nerfstudio), and are read if they are there.
+    (``cfg.yml`` of gsplat, ``config.yml`` of nerfstudio), and are read if they are there. Invalid
+    rows are refused, or dropped with a warning.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -82,7 +83,7 @@ def read_checkpoint(path: FilePath) -> Splats:
             torch_archive = TorchArchive(archive, stream_size(file))
             layout = _layout_of(torch_archive, Path(path))
             splats = _splats(torch_archive, layout)
-        require_drawable(splats)
+        splats = drawable(splats, path, drop_invalid=drop_invalid)
     for note in layout.notes:
         warnings.warn(f"{path}: {note}", FormatWarning, stacklevel=2)
     return splats

@@ -6,13 +6,13 @@ The format is that of the glTF 2.0 specification, section 4 (Khronos).
 import json
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Any, Final, final
 
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_length
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, not_recognised, require_length
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, quoted
-from gsgen.formats.shared.recognition import not_recognised
 
 MAGIC: Final = b"glTF"
 
@@ -29,7 +29,7 @@ Json = dict[str, Any]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Container:
     """The JSON document and the binary chunk of a GLB file.
 
@@ -38,12 +38,14 @@ class Container:
         data: The bytes of the file.
         start: The byte where the binary chunk begins.
         size: The length of the binary chunk; 0 without one.
+        length: The length that the header of a GLB file declares; 0 for others.
     """
 
     document: Json
     data: Data
     start: int
     size: int
+    length: int = 0
 
     def item(self, group: str, index: object, where: str) -> Json:
         """Return the JSON object ``index`` in the array ``group`` of a glTF document."""
@@ -85,28 +87,42 @@ def parse(data: Data) -> Container:
             expected=f"a chunk JSON of at most {_MAX_JSON_BYTES} bytes",
         )
     require_length(data, start, size, "chunk JSON")
-    document = _document(bytes(data[start : start + size]))
+    document = parse_document(bytes(data[start : start + size]))
     binary, body = start + size, 0
     if binary + _CHUNK_HEADER.size <= min(length, len(data)):
         body, kind = _CHUNK_HEADER.unpack_from(data, binary)
         body = body if kind == b"BIN\0" else 0
         require_length(data, binary + _CHUNK_HEADER.size, body, "chunk BIN")
-    return Container(document, data, binary + _CHUNK_HEADER.size, body)
+    return Container(
+        document=document, data=data, start=binary + _CHUNK_HEADER.size, size=body, length=length
+    )
 
 
-def require_uncompressed(document: Json) -> None:
-    """Raise if a glTF document can only be read with an extension that compresses attributes."""
+def require_known_extensions(document: Json, known: Collection[str]) -> None:
+    """Raise if a glTF document requires an extension that its reader does not know.
+
+    The specification (section 3.12) forbids to load such a file.
+
+    Args:
+        document: The glTF document.
+        known: Names of extensions, or their beginnings, which end in ``*``.
+    """
     for name in array_member(document, "extensionsRequired", "document"):
-        if name in COMPRESSION_EXTENSIONS:
-            raise NotSupported(
-                f"the file needs {name}, which is not decoded",
-                where="extensionsRequired",
-                expected="attributes that are not compressed, or SPZ",
-                hint="Export the file without compression of meshes.",
-            )
+        if any(fnmatchcase(str(name), pattern) for pattern in known):
+            continue
+        is_packed = name in COMPRESSION_EXTENSIONS
+        raise NotSupported(
+            f"the file needs {name}, which is not {'decoded' if is_packed else 'supported'}",
+            where="extensionsRequired",
+            expected=f"none but {', '.join(known)}",
+            hint="Export the file without compression of meshes."
+            if is_packed
+            else "Export the file without this extension.",
+        )
 
 
-def _document(content: bytes) -> Json:
+def parse_document(content: bytes) -> Json:
+    """Parse the JSON of a glTF file; raise HeaderMalformed unless it is an object."""
     try:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:

@@ -4,28 +4,46 @@ The axes of a GLB are x left, y up, z forward; those of a PLY file are x right, 
 """
 
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.glb.container import Container, array_member, build, parse, require_uncompressed
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
+from gsgen.formats.glb.container import (
+    Container,
+    array_member,
+    build,
+    parse,
+    require_known_extensions,
+)
+from gsgen.formats.glb.gltf import parse_gltf
 from gsgen.formats.glb.nodes import Matrix, meshes, transform_splats
 from gsgen.formats.glb.splats import (
     COLOR_SPACES,
     EXTENSION_NAME,
+    READABLE_EXTENSIONS,
     coefficient,
     is_splats,
     read_primitive,
 )
 from gsgen.formats.shared.axes import RDF_LUF, flip
-from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
-from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, SizeExceeded, ValueInvalid
-from gsgen.formats.shared.files import FilePath, naming, replace_file
+from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents, not_recognised
+from gsgen.formats.shared.errors import (
+    HeaderMalformed,
+    PropertyMissing,
+    SizeExceeded,
+    ValueInvalid,
+    quoted,
+)
+from gsgen.formats.shared.files import FilePath, naming, open_file, replace_file
 from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.notices import MeshWarning, warn_unused
 from gsgen.formats.shared.quantities import sigmoid, unit
-from gsgen.formats.shared.splat_values import linear_scale, require_drawable
+from gsgen.formats.shared.splat_values import drawable, linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.shared.values import require_rows
 
@@ -37,20 +55,22 @@ _FLOAT, _WIDTHS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _BYTES_PER_SPLAT = 44  # of a splat in memory, less its harmonics
 
 
-def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read all splats in the scene of the GLB file at ``path`` as one set.
+def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool = False) -> Splats:
+    """Read all splats in the scene of the GLB or .gltf file at ``path`` as one set.
 
     The transforms of nodes are applied, to the harmonics too. Attributes of earlier drafts of
-    the extension, and SPZ in a buffer view, are read too. Other meshes are ignored.
+    the extension, and SPZ in a buffer view, are read too. Other meshes are left out, which a MeshWarning says;
+    other unused parts are named in a FormatWarning.
 
     Args:
         path: The file.
         max_bytes: The limit of the memory for the splats of all nodes; nodes can share a mesh.
+        drop_invalid: Drop rows that cannot be drawn, and warn about them.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
         FormatNotRecognised: The file is not a GLB file.
-        NotSupported: The file has another version, or needs other files.
+        NotSupported: The file has another version, or requires an unknown extension.
         HeaderMalformed: The JSON breaks the rules of glTF or of the extension.
         PropertyMissing: The scene has no splats, or splats lack an attribute.
         FileTruncated: The file ends early.
@@ -58,14 +78,47 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
         ValueInvalid: A value cannot be drawn.
     """
     with contents(path) as data:
-        splats = decode_glb(data, max_bytes)
-        require_drawable(splats)
+        glb = _parse_any(data, path, max_bytes)
+        splats = drawable(_decode(glb, max_bytes), path, drop_invalid=drop_invalid)
+        warn_unused(path, _unused_parts(glb))
+        warn_unused(path, _left_out_meshes(glb), MeshWarning)
         return splats
+
+
+def is_gltf_of_splats(head: bytes) -> bool:
+    """Return whether a file begins as a .gltf file that uses KHR_gaussian_splatting."""
+    if head.lstrip()[:1] != b"{":
+        return False
+    kind = kind_of(head)
+    return kind is not None and kind.name == "gltf-splats"
 
 
 def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     """Return the splats of the GLB file ``data``, in the coordinate axes of a PLY file."""
-    glb = parse(data)
+    return _decode(parse(data), max_bytes)
+
+
+def _parse_any(data: Data, path: FilePath, max_bytes: int) -> Container:
+    """Parse a GLB file, or a .gltf file with the files beside it."""
+    head = bytes(data[:RECOGNITION_BYTES])
+    if not head.lstrip().startswith(b"{"):
+        return parse(data)
+    kind = kind_of(head)
+    if kind is None or not kind.name.startswith("gltf"):
+        raise not_recognised(head, "a glTF file", head[:4].hex(" "))
+
+    def fetch(name: str, size: int) -> bytes:
+        folder = Path(path).parent
+        file = folder / name
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise HeaderMalformed(quoted(name), where="uri", expected="a file in its folder")
+        with open_file(file) as stream:
+            return stream.read(size)
+
+    return parse_gltf(bytes(data), fetch, max_bytes)
+
+
+def _decode(glb: Container, max_bytes: int) -> Splats:
     parts: list[Splats] = []
     used_bytes = 0
     for primitive, matrix, where in scene_primitives(glb):
@@ -93,9 +146,42 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     return flip(join_splats(parts), RDF_LUF)
 
 
+def _left_out_meshes(glb: Container) -> list[str]:
+    """Return the primitives of the scene that are no splats, with their numbers of vertices."""
+    texts = []
+    for mesh, _ in meshes(glb):
+        primitives = glb.item("meshes", mesh, "nodes").get("primitives", [])
+        for index, primitive in enumerate(primitives):
+            if isinstance(primitive, dict) and not is_splats(primitive):
+                attributes = primitive.get("attributes", {})
+                accessor = glb.item("accessors", attributes.get("POSITION", 0), "POSITION")
+                kind = "points" if primitive.get("mode", 4) == 0 else "a mesh"
+                texts.append(
+                    f"meshes[{mesh}].primitives[{index}], {kind} of {accessor.get('count')} vertices"
+                )
+    return list(dict.fromkeys(texts))
+
+
+def _unused_parts(glb: Container) -> list[str]:
+    """Return the declared parts of a glTF file that say nothing about splats."""
+    document = glb.document
+    names = [
+        f"{len(document[key])} {key}"
+        for key in ("animations", "skins", "cameras")
+        if isinstance(document.get(key), list) and document[key]
+    ]
+    names += [
+        f"extension {name}"
+        for name in array_member(document, "extensionsUsed", "document")
+        if not any(fnmatchcase(str(name), pattern) for pattern in READABLE_EXTENSIONS)
+    ]
+    trailing = len(glb.data) - glb.length if glb.length else 0
+    return names + ([f"{trailing:,} bytes after the end of the file"] if trailing > 0 else [])
+
+
 def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
     """Yield each splat primitive of a glTF scene with its transform and its JSON location."""
-    require_uncompressed(glb.document)
+    require_known_extensions(glb.document, READABLE_EXTENSIONS)
     for mesh, matrix in meshes(glb):
         primitives = array_member(
             glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]"

@@ -21,7 +21,7 @@ from gsgen.formats.shared.errors import (
     ValueInvalid,
     quoted,
 )
-from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
+from gsgen.formats.shared.quantities import SH_C0, log, logit, unit_or_zero
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.spz import container, streams
 
@@ -36,6 +36,17 @@ _SPZ = (
     "KHR_gaussian_splatting_compression_spz",
     "KHR_spz_gaussian_splats_compression",
 )
+READABLE_EXTENSIONS: Final = (
+    EXTENSION_NAME,
+    *_SPZ,
+    "KHR_mesh_quantization",
+    "KHR_materials_*",
+    "KHR_lights_punctual",
+    "KHR_xmp_json_ld",
+    "EXT_structural_metadata",
+    "EXT_mesh_features",
+)
+"""The extensions that a file of splats may require: those of splats, and those without effect."""
 _POINTS_MODE = 0
 _COEFFICIENT_NAME = re.compile(re.escape(EXTENSION_NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 
@@ -124,7 +135,7 @@ def _from_attributes(
     _require_valid(opacity, (opacity >= 0) & (opacity <= 1), f"{where}, OPACITY", "0 to 1")
     return Splats(
         position=position,
-        rotation=unit(rotation[:, [3, 0, 1, 2]]),
+        rotation=unit_or_zero(rotation[:, [3, 0, 1, 2]]),
         log_scale=log(scale),
         logit_opacity=logit(opacity),
         sh=sh,

@@ -97,6 +97,11 @@ def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
         start = end + 1
 
 
+def count_lines(data: mmap.mmap, start: int) -> int:
+    """Return the number of non-blank lines of a text PLY file from byte ``start`` on."""
+    return sum(1 for _ in _lines(data, start))
+
+
 def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows width"]:
     """Parse lines of a text PLY file as numbers; ``first`` is the number of the first row."""
     try:

@@ -43,6 +43,14 @@ def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
     return start
 
 
+def end_of_elements(data: mmap.mmap, header: Header) -> int:
+    """Return the byte offset after the last PLY element; raise if the file is too short."""
+    start = header.body_offset
+    for element in header.elements:
+        start = _element_end(data, header, element, start)
+    return start
+
+
 def _element_end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
     """Return the byte offset after the PLY element ``element`` that begins at byte ``start``."""
     if not element.has_lists:

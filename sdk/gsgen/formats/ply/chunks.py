@@ -4,17 +4,27 @@ __all__ = ["PlyTable", "ply_table", "read_ply_rows"]
 
 import os
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 
 from gsgen.formats.ply.binary import first_row
 from gsgen.formats.ply.header import parse_header
-from gsgen.formats.ply.layout import find_vertex, is_splat, splat_degree, splat_groups
+from gsgen.formats.ply.layout import (
+    find_vertex,
+    is_splat,
+    splat_colors,
+    splat_degree,
+    splat_groups,
+    splat_names,
+)
+from gsgen.formats.ply.methods import FILTER_PROPERTY
 from gsgen.formats.ply.packed import is_packed
+from gsgen.formats.ply.ply import declared_color_space
+from gsgen.formats.ply.unused import unused_parts
 from gsgen.formats.shared.errors import FileTruncated
 from gsgen.formats.shared.files import FilePath, map_file, naming
-from gsgen.formats.shared.splats import Splats
+from gsgen.formats.shared.splats import DEFAULT_UP, Splats
 
 
 @final
@@ -28,6 +38,9 @@ class PlyTable:
         first_byte: Offset of the first row.
         columns: Properties of a row, in the order of the file.
         antialiased: Whether the header says that training used the filter of Mip-Splatting.
+        color_space: The declared colour space.
+        up: The declared upward direction.
+        unused: The declared parts that are not used.
     """
 
     count: int
@@ -35,6 +48,9 @@ class PlyTable:
     first_byte: int
     columns: tuple[str, ...]
     antialiased: bool = False
+    color_space: Literal["srgb", "linear"] = "srgb"
+    up: tuple[float, float, float] = DEFAULT_UP
+    unused: tuple[str, ...] = ()
 
     @property
     def row_bytes(self) -> int:
@@ -56,14 +72,20 @@ def ply_table(path: FilePath) -> PlyTable | None:
         vertex = find_vertex(header)
         types = vertex.types
         is_float32 = header.encoding == "binary_little_endian" and set(types.values()) == {"f4"}
-        if not (is_float32 and is_splat(types)):
+        if not (is_float32 and is_splat(types)) or splat_colors(types):
             return None
+        degree = splat_degree(types)
+        space, used_space = declared_color_space(data, header)
+        used = {vertex.name: (*splat_names(degree), FILTER_PROPERTY), **used_space}
         return PlyTable(
             count=vertex.count,
-            degree=splat_degree(types),
+            degree=degree,
             first_byte=first_row(data, header, vertex),
             columns=tuple(types),
             antialiased=header.antialiased,
+            color_space=space,
+            up=header.up or DEFAULT_UP,
+            unused=tuple(unused_parts(data, header, used)),
         )
 
 
@@ -92,4 +114,6 @@ def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Sp
         logit_opacity=arrays["logit_opacity"].reshape(-1),
         sh=arrays["sh"].reshape(count, -1, 3),
         antialiased=table.antialiased,
+        color_space=table.color_space,
+        up=table.up,
     )

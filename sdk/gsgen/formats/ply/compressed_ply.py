@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from gsgen.formats.ply import packed_rows as rows
-from gsgen.formats.ply.header import ANTIALIASED_COMMENT
+from gsgen.formats.ply.header import ANTIALIASED_COMMENT, up_comment
 from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.morton import morton_order
 from gsgen.formats.shared.splat_values import require_drawable
-from gsgen.formats.shared.splats import Splats
+from gsgen.formats.shared.splats import DEFAULT_UP, Splats
 
 __all__ = ["compressed_order", "write_compressed_ply"]
 
@@ -100,6 +100,7 @@ def _header(boxes: int, splats: Splats, higher_count: int) -> bytes:
         elements.append(("sh", count, "uchar", names))
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [ANTIALIASED_COMMENT] if splats.antialiased else []
+    lines += [up_comment(splats.up)] if splats.up != DEFAULT_UP else []
     for name, size, kind, properties in elements:
         lines.append(f"element {name} {size}")
         lines += [f"property {kind} {item}" for item in properties]

@@ -4,13 +4,14 @@ The format is that of Greg Turk, "The PLY Polygon File Format", 1994, with the s
 type names (``float32``) that later writers added.
 """
 
+import math
 import mmap
 import re
 from dataclasses import dataclass
 from typing import Final, Literal, final, get_args
 
+from gsgen.formats.shared.bytes import not_recognised
 from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, quoted
-from gsgen.formats.shared.recognition import not_recognised
 
 Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 """The encodings of the rows of a PLY file."""
@@ -19,8 +20,16 @@ MAGIC: Final = (b"ply\n", b"ply\r\n")
 """The first line of a PLY file, with either line end."""
 
 PLY_ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
+COLOR_SPACE: Final = "color_space"
+"""The element, and its property, in which SHARP declares the colour space; 1 is linear."""
 ANTIALIASED_COMMENT: Final = "comment SplatRenderMode: mip"
 """The header line of antialiased splats, in the words of Brush."""
+_VERTICAL_AXIS = re.compile(r"(?:vertical|up)[ _]axis\s*[:=]?\s*(.*)", re.IGNORECASE)
+_AXES: Final = {
+    "x": (1.0, 0.0, 0.0), "+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0),
+    "y": (0.0, -1.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0),
+    "z": (0.0, 0.0, 1.0), "+z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
 _RENDER_MODE = re.compile(r"SplatRenderMode:\s*(\S+)|antialiased\s+(\d+)", re.IGNORECASE)
 MAX_HEADER = 1 << 20
 """The largest header that is read, in bytes; a splat file needs about 2000."""
@@ -106,6 +115,25 @@ class Header:
         return bool(matches) and (matches[-1][1] or matches[-1][2]).lower() in ("mip", "1")
 
     @property
+    def up(self) -> tuple[float, float, float] | None:
+        """The upward direction that the last PLY comment on it declares (nerfstudio, Brush).
+
+        ``y`` alone names the vertical axis, not its sign: Brush writes it for -y, that of 3DGS.
+        """
+        texts = [match[1] for line in self.comments if (match := _VERTICAL_AXIS.fullmatch(line))]
+        directions = [up for text in texts if (up := _direction(text)) is not None]
+        return directions[-1] if directions else None
+
+    @property
+    def unknown_comments(self) -> tuple[str, ...]:
+        """The PLY comments that declare a vertical axis in words that are not known."""
+        return tuple(
+            line
+            for line in self.comments
+            if (match := _VERTICAL_AXIS.fullmatch(line)) and _direction(match[1]) is None
+        )
+
+    @property
     def byte_order(self) -> Literal["little", "big"]:
         """The byte order of binary values in the PLY file."""
         return "big" if self.encoding == "binary_big_endian" else "little"
@@ -113,6 +141,25 @@ class Header:
     def find(self, name: str) -> Element | None:
         """Return the PLY element called ``name``, or None."""
         return next((item for item in self.elements if item.name == name), None)
+
+
+def up_comment(up: tuple[float, float, float]) -> str:
+    """Return the header line that declares an upward direction, in the words of Brush."""
+    return "comment Vertical axis: {:.9g} {:.9g} {:.9g}".format(*up)
+
+
+def _direction(text: str) -> tuple[float, float, float] | None:
+    """Parse an axis (``z``, ``-y``) or three numbers as a unit vector."""
+    word = text.strip().lower()
+    axis = _AXES.get(word)
+    if axis is not None:
+        return axis
+    try:
+        x, y, z = (float(part) for part in re.split(r"[\s,;]+", word.strip("[]() ")))
+    except ValueError:
+        return None
+    length = math.hypot(x, y, z)
+    return (x / length, y / length, z / length) if 0 < length < math.inf else None
 
 
 def parse_header(data: mmap.mmap) -> Header:
@@ -176,15 +223,21 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", first_bytes)
     if end is None:
         raise _missing_end_error(len(first_bytes), len(data))
-    if not first_bytes[: end.start()].isascii():
-        offset = next(index for index, byte in enumerate(first_bytes) if byte > 127)
-        raise HeaderMalformed(
-            f"the PLY header has byte {first_bytes[offset]:#04x} at offset {offset}",
-            where="header",
-            expected="ASCII only",
-        )
-    lines = first_bytes[: end.start()].decode("ascii").split("\n")
-    return lines[1:-1], end.end()
+    lines = first_bytes[: end.start()].split(b"\n")
+    return [_decoded_line(line, number) for number, line in enumerate(lines[1:-1], 2)], end.end()
+
+
+def _decoded_line(line: bytes, number: int) -> str:
+    """Decode a line of a PLY header: free text may be UTF-8 or Latin-1, the others are ASCII."""
+    if line.isascii():
+        return line.decode("ascii")
+    if line.split(maxsplit=1)[:1] in ([b"comment"], [b"obj_info"]):
+        try:
+            return line.decode("utf-8")
+        except UnicodeDecodeError:
+            return line.decode("latin-1")
+    byte = next(byte for byte in line if byte > 127)
+    raise _malformed_error(number, f"byte {byte:#04x} in {quoted(repr(line))}", "ASCII only")
 
 
 def _missing_end_error(searched_bytes: int, size: int) -> FileTruncated | HeaderMalformed:

@@ -20,6 +20,7 @@ COLORS = (
 )
 """The property names of a point's colour, the most common first."""
 
+_CONSTANT_NAMES = ("f_dc_0", "f_dc_1", "f_dc_2")
 _REST_NAME = re.compile(r"f_rest_\d+")
 _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
 
@@ -85,6 +86,16 @@ def is_splat(names: Collection[str]) -> bool:
     return any(name in splat_only or _REST_NAME.fullmatch(name) for name in names)
 
 
+def splat_colors(names: Collection[str]) -> tuple[str, ...]:
+    """Return the PLY properties of a colour that stand for ``f_dc``, as nerfstudio writes them.
+
+    Nothing if the file has ``f_dc``, or no colour.
+    """
+    if any(name in names for name in _CONSTANT_NAMES):
+        return ()
+    return next((colors for colors in COLORS if set(colors) <= set(names)), ())
+
+
 def splat_degree(names: Collection[str]) -> int:
     """Return the SH degree of a PLY splat file from its property names.
 
@@ -92,7 +103,8 @@ def splat_degree(names: Collection[str]) -> int:
         PropertyMissing: A property of splats is missing, or the number of ``f_rest`` fits
             no degree.
     """
-    _require_all(names, splat_names(0))
+    replaced_names = _CONSTANT_NAMES if splat_colors(names) else ()
+    _require_all(names, splat_names(0), replaced_names)
     higher = [name for name in names if _REST_NAME.fullmatch(name)]
     if len(higher) not in _REST_COUNTS:
         raise PropertyMissing(
@@ -101,12 +113,14 @@ def splat_degree(names: Collection[str]) -> int:
             expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
     degree = math.isqrt(len(higher) // 3 + 1) - 1
-    _require_all(names, splat_names(degree))
+    _require_all(names, splat_names(degree), replaced_names)
     return degree
 
 
-def _require_all(names: Collection[str], needed: list[str]) -> None:
-    missing = [name for name in needed if name not in names]
+def _require_all(
+    names: Collection[str], needed: list[str], replaced_names: Collection[str]
+) -> None:
+    missing = [name for name in needed if name not in names and name not in replaced_names]
     if not missing:
         return
     hint = ""

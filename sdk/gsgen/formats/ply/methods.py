@@ -1,7 +1,6 @@
 """Recognises PLY properties of methods that change the meaning of a splat, such as motion."""
 
 import re
-import warnings
 from collections.abc import Collection
 from typing import Final
 
@@ -10,8 +9,6 @@ from jaxtyping import Float32
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.formats.shared.errors import NotSupported, join_names
-from gsgen.formats.shared.files import FilePath
-from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.quantities import logit, sigmoid
 
 FILTER_PROPERTY: Final = "filter_3D"
@@ -22,7 +19,6 @@ _METHOD_PROPERTIES: Final = (
     ("GaussianAvatars", "gaussian-avatars", re.compile(r"binding_\d+")),
     ("rotor 4DGS", "rotor-4dgs", re.compile(r"scale_t|t_scale|rot_r_\d+|rotation_r_\d+")),
 )
-_IGNORED_PROPERTIES: Final = re.compile(r"n[xyz]|(diffuse_)?(red|green|blue)|alpha|f_rest_\d+")
 
 
 def require_still_splats(names: Collection[str]) -> None:
@@ -42,20 +38,6 @@ def require_still_splats(names: Collection[str]) -> None:
             if is_installed
             else "no installed plugin reads them; bake one moment with the method's own code",
         )
-
-
-def warn_of_unknown_properties(
-    names: Collection[str], known_names: Collection[str], path: FilePath
-) -> None:
-    """Warn about the PLY properties that have no effect on the splats, by name."""
-    unknown = [
-        name
-        for name in names
-        if name not in known_names and not _IGNORED_PROPERTIES.fullmatch(name)
-    ]
-    if unknown:
-        text = f"{path}: properties {join_names(unknown)} are not understood and have no effect"
-        warnings.warn(text, FormatWarning, stacklevel=2)
 
 
 def with_smoothing_filter(

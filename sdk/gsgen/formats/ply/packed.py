@@ -11,8 +11,7 @@ from gsgen.formats.ply.ascii import ascii_rows
 from gsgen.formats.ply.binary import binary_rows
 from gsgen.formats.ply.header import Element, Header
 from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, join_names
-from gsgen.formats.shared.splat_values import require_drawable
-from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.shared.splats import DEFAULT_UP, SH_COUNTS, Splats
 from gsgen.formats.shared.values import require_rows
 
 _BOX_WITHOUT_COLORS = rows.BOX_PROPERTIES[:12]
@@ -25,8 +24,8 @@ def is_packed(header: Header) -> bool:
     return vertex is not None and rows.PACKED_PROPERTIES[0] in vertex.types
 
 
-def read_packed(data: mmap.mmap, header: Header) -> Splats:
-    """Return the splats of a compressed PLY file."""
+def read_packed(data: mmap.mmap, header: Header) -> tuple[Splats, dict[str, tuple[str, ...]]]:
+    """Return the splats of a compressed PLY file, and the used properties of each element."""
     vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
     needed = -(-vertex.count // rows.ROWS_PER_CHUNK)
@@ -48,9 +47,10 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
         logit_opacity=logit_opacity,
         sh=np.concatenate([constant[:, None], _higher_bands(data, header, vertex.count)], axis=1),
         antialiased=header.antialiased,
+        up=header.up or DEFAULT_UP,
     )
-    require_drawable(splats)
-    return splats
+    used = {element.name: tuple(element.types) for element in (boxes, header.find("sh")) if element}
+    return splats, used | {"vertex": rows.PACKED_PROPERTIES}
 
 
 def _read_boxes(
@@ -76,6 +76,8 @@ def _higher_bands(data: mmap.mmap, header: Header, count: int) -> Float32[np.nda
             expected=f"{count}, as vertex has",
         )
     value_count = len(element.properties)
+    if value_count == 0:  # gsplat declares the element at degree 0, too
+        return np.empty((count, 0, 3), np.float32)
     if value_count not in _REST_COUNTS:
         raise PropertyMissing(
             f"the element has {value_count} properties",

@@ -2,59 +2,34 @@
 
 import warnings
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float32
 
 from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups
-from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splat_values import ALLOWED_INFINITIES
+from gsgen.formats.shared.splat_values import Labels, require_drawable
 from gsgen.formats.shared.splats import PointCloud, Splats
-from gsgen.formats.shared.values import (
-    finite_or_allowed,
-    require_colors,
-    require_finite,
-    require_rows,
-)
+from gsgen.formats.shared.values import require_colors, require_finite, require_rows
+
+VERTEX: Final = "element 'vertex'"
+"""The place of the rows of a PLY file, in messages."""
+
+
+def splat_labels(splats: Splats) -> Labels:
+    """Return the PLY property names of each array's columns."""
+    return splat_groups(splats.degree)
 
 
 def require_splats(splats: Splats, *, checked_fields: Collection[str] = ()) -> None:
-    """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn.
+    """Raise ValueInvalid if ``splats`` is empty or holds a row that cannot be drawn.
 
     Arrays that are named in ``checked_fields`` are known to be valid.
     """
-    require_rows(len(splats), "element 'vertex'")
-    for array, names, table in _tables(splats):
-        if array not in checked_fields:
-            require_finite(table, _labels(names), ALLOWED_INFINITIES.get(array, ()))
-
-
-def only_drawable(splats: Splats, path: FilePath) -> Splats:
-    """Return the splats that can be drawn, and warn about dropped splats of the PLY file."""
-    try:
-        require_splats(splats)
-    except ValueInvalid:
-        is_valid = np.concatenate(
-            [
-                finite_or_allowed(table, ALLOWED_INFINITIES.get(array, ()))
-                for array, _, table in _tables(splats)
-            ],
-            axis=1,
-        )
-        is_drawable = is_valid.all(axis=1)
-        if not is_drawable.any():
-            raise
-    else:
-        return splats
-    values = np.concatenate([table for *_, table in _tables(splats)], axis=1)
-    labels = [name for _, names, _ in _tables(splats) for name in names]
-    _warn_of_dropped(path, is_valid, values, labels)
-    return replace(
-        splats, **{array: getattr(splats, array)[is_drawable] for array, *_ in _tables(splats)}
-    )
+    labels = splat_labels(splats)
+    require_drawable(splats, labels=labels, where=VERTEX, checked_fields=checked_fields)
 
 
 def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
@@ -89,17 +64,9 @@ def _warn_of_dropped(
     warnings.warn(text, FormatWarning, stacklevel=2)
 
 
-def _tables(splats: Splats) -> list[tuple[str, Sequence[str], Float32[np.ndarray, "n m"]]]:
-    """Return each array of the splats with the PLY property names of its columns."""
-    return [
-        (array, names, getattr(splats, array).reshape(len(splats), len(names)))
-        for array, names in splat_groups(splats.degree).items()
-    ]
-
-
 def require_cloud(cloud: PointCloud, colors: Sequence[str] = COLORS[0]) -> None:
     """Raise ValueInvalid if a point cloud is empty or holds a value that cannot be drawn."""
-    require_rows(len(cloud), "element 'vertex'")
+    require_rows(len(cloud), VERTEX)
     require_finite(cloud.position, _labels(XYZ))
     require_colors(cloud.color, _labels(colors))
 

@@ -9,12 +9,18 @@ from typing import BinaryIO, Final, Literal, final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.ply.header import ANTIALIASED_COMMENT, PLY_ENCODINGS, Encoding
+from gsgen.formats.ply.header import (
+    ANTIALIASED_COMMENT,
+    COLOR_SPACE,
+    PLY_ENCODINGS,
+    Encoding,
+    up_comment,
+)
 from gsgen.formats.ply.layout import COLORS, XYZ, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
 from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.files import FilePath, naming, replace_file
-from gsgen.formats.shared.splats import PointCloud, Splats
+from gsgen.formats.shared.splats import DEFAULT_UP, PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
 _MAX_SH_BYTES: Final = 1 << 28  # of SH coefficients, at most, whose rows PlyFrames keeps
@@ -63,21 +69,25 @@ def write_ply(
             require_cloud(content)
             blocks = _point_blocks(content)
     with replace_file(path) as file:
-        is_antialiased = isinstance(content, Splats) and content.antialiased
-        file.write(_header(blocks, len(content), format, antialiased=is_antialiased))
+        flags = content if isinstance(content, Splats) else None
+        file.write(_header(blocks, len(content), format, flags))
         _write_rows(file, blocks, format)
+        file.write(_color_space_row(flags, format))
 
 
 def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None:
     """Write ``count`` splats as a binary PLY file; the parts have equal SH degree and flags."""
     encoding: Encoding = "binary_little_endian"
+    last_row = b""
     with replace_file(path) as file:
         for index, part in enumerate(parts):
             require_splats(part)
             blocks = _splat_blocks(part)
             if index == 0:
-                file.write(_header(blocks, count, encoding, antialiased=part.antialiased))
+                file.write(_header(blocks, count, encoding, part))
+                last_row = _color_space_row(part, encoding)
             _write_rows(file, blocks, encoding)
+        file.write(last_row)
 
 
 @final
@@ -111,13 +121,14 @@ class PlyFrames:
             block for block in blocks if not (keeps_colors and block.names[0].startswith("f_"))
         ]
         with replace_file(path) as file:
-            file.write(_header(blocks, len(splats), encoding, antialiased=splats.antialiased))
+            file.write(_header(blocks, len(splats), encoding, splats))
             for start in range(0, len(splats), CHUNK_ROWS):
                 rows = slice(start, start + CHUNK_ROWS)
                 chunk = self._rows[rows]
                 for block in changed:
                     chunk[block.names[0]] = block.values[rows]
                 file.write(chunk.view(np.uint8).data)
+            file.write(_color_space_row(splats, encoding))
         self._sh = splats.sh
 
 
@@ -144,18 +155,29 @@ def _point_blocks(cloud: PointCloud) -> list[_Block]:
 
 
 def _header(
-    blocks: Sequence[_Block], count: int, encoding: Encoding, *, antialiased: bool
+    blocks: Sequence[_Block], count: int, encoding: Encoding, flags: Splats | None
 ) -> bytes:
+    """Return the header of a PLY file; splats declare what differs from 3DGS training."""
     type_names = {"f4": "float", "u1": "uchar"}
-    lines = [
-        "ply",
-        f"format {encoding} 1.0",
-        *([ANTIALIASED_COMMENT] if antialiased else []),
-        f"element vertex {count}",
-        *(f"property {type_names[block.code]} {name}" for block in blocks for name in block.names),
-        "end_header\n",
+    lines = ["ply", f"format {encoding} 1.0"]
+    if flags is not None and flags.antialiased:
+        lines.append(ANTIALIASED_COMMENT)
+    if flags is not None and flags.up != DEFAULT_UP:
+        lines.append(up_comment(flags.up))
+    lines.append(f"element vertex {count}")
+    lines += [
+        f"property {type_names[block.code]} {name}" for block in blocks for name in block.names
     ]
-    return "\n".join(lines).encode("ascii")
+    if flags is not None and flags.color_space == "linear":
+        lines += [f"element {COLOR_SPACE} 1", f"property uchar {COLOR_SPACE}"]
+    return "\n".join([*lines, "end_header\n"]).encode("ascii")
+
+
+def _color_space_row(flags: Splats | None, encoding: Encoding) -> bytes:
+    """Return the row of the element that declares linear colours, as SHARP writes it."""
+    if flags is None or flags.color_space == "srgb":
+        return b""
+    return b"1\n" if encoding == "ascii" else b"\x01"
 
 
 def _row_type(blocks: Sequence[_Block], encoding: Encoding) -> np.dtype[np.void]:

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy.typing import DTypeLike
 
-from gsgen.formats.shared.errors import FileTruncated
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
+from gsgen.formats.shared.errors import FileTruncated, FormatNotRecognised
 from gsgen.formats.shared.files import FilePath, map_file, naming
 
 Data = bytes | bytearray | memoryview | mmap.mmap
@@ -56,3 +57,17 @@ def require_length(data: Data, start: int, needed: int, where: str) -> None:
             expected=f"a file of {start + needed} bytes or more; it has {len(data)}",
             hint=DOWNLOAD_HINT,
         )
+
+
+def not_recognised(data: Data, expected: str, shown: str) -> FormatNotRecognised:
+    """Return the error about a file whose content is not that of the format that is read.
+
+    Args:
+        data: The file, or its beginning.
+        expected: The expected content.
+        shown: The first bytes, for content of no known kind.
+    """
+    kind = kind_of(bytes(data[:RECOGNITION_BYTES]))
+    if kind is None:
+        return FormatNotRecognised(shown, where="first bytes", expected=expected)
+    return FormatNotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)

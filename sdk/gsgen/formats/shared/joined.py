@@ -28,4 +28,5 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
         sh=np.concatenate([padded(part.sh) for part in parts]),
         antialiased=any(part.antialiased for part in parts),
         color_space=parts[0].color_space,
+        up=parts[0].up,
     )

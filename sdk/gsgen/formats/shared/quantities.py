@@ -39,6 +39,13 @@ def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     return np.ascontiguousarray(columns.T, np.float32)
 
 
+def unit_or_zero(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
+    """Normalise quaternions of a file; one of length zero stays so, which is not a valid row."""
+    quaternions = unit(rotation)
+    quaternions[(rotation == 0).all(axis=1)] = 0
+    return quaternions
+
+
 def rounded(values: Float[np.ndarray, "..."], low: int, high: int) -> Integer[np.ndarray, "..."]:
     """Round ``values`` to the nearest whole numbers from ``low`` to ``high``."""
     return np.asarray(np.clip(np.rint(values), low, high), np.int64)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -10,10 +10,12 @@ from jaxtyping import Float, Float32
 from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
 
-__all__ = ["SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
+__all__ = ["DEFAULT_UP", "SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
 
 SH_COUNTS = (1, 4, 9, 16, 25)
 """SH coefficients per channel for degree 0, 1, 2, 3 and 4."""
+DEFAULT_UP: Final = (0.0, -1.0, 0.0)
+"""The upward direction of splats whose file declares none."""
 
 
 @final
@@ -34,6 +36,7 @@ class Splats:
         antialiased: Whether training used the filter of Mip-Splatting (Yu et al. 2023), which
             lowers the opacity of splats that it widens; few formats store this flag.
         color_space: The colour space of the colours; few formats store it.
+        up: The upward direction, if the file declares one; else that of 3DGS training, -y.
 
     Raises:
         ValueInvalid: An array has a wrong shape or data type.
@@ -46,6 +49,7 @@ class Splats:
     sh: Float32[np.ndarray, "n k 3"]
     antialiased: bool = False
     color_space: Literal["srgb", "linear"] = "srgb"
+    up: tuple[float, float, float] = DEFAULT_UP
 
     def __post_init__(self) -> None:
         _require_array("position", self.position, ("float32",), ("n", 3))

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.contract.file_kinds.recognition import kind_of
-from gsgen.formats.shared.bytes import MAX_SPLATS
+from gsgen.formats.shared.bytes import MAX_SPLATS, not_recognised
 from gsgen.formats.shared.errors import FormatNotRecognised, HeaderMalformed, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
-from gsgen.formats.shared.recognition import not_recognised
 
 META_FILE: Final = "meta.json"
 """The file that describes the images."""

@@ -23,7 +23,7 @@ from gsgen.formats.shared.errors import (
 from gsgen.formats.shared.files import FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import logit, quaternions_from_largest, unit
-from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, most_pixels
 from gsgen.formats.sog.meta import (
@@ -48,12 +48,13 @@ FetchFile = Callable[[str, int], bytes]
 """Returns the content of a file; raises if it has more bytes than the second argument."""
 
 
-def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
+def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool = False) -> Splats:
     """Read the SOG file at ``path``: a zip archive, or the meta.json of an unpacked archive.
 
     Args:
         path: The file.
         max_bytes: The limit of the memory of all splats, in bytes.
+        drop_invalid: Drop rows that cannot be drawn, and warn about them.
 
     Raises:
         FileUnreadable: A file is missing or empty, or may not be read.
@@ -68,9 +69,11 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
     """
     with naming(path), open_file(path) as file, np.errstate(all="ignore"):
         if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
-            return _read_unpacked(path, max_bytes)
+            splats = _read_unpacked(path, max_bytes)
+            return drawable(splats, path, drop_invalid=drop_invalid)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            return _decode(_fetch_from_archive(archive, stream_size(file)), META_FILE, max_bytes)
+            splats = _decode(_fetch_from_archive(archive, stream_size(file)), META_FILE, max_bytes)
+        return drawable(splats, path, drop_invalid=drop_invalid)
 
 
 def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
@@ -188,7 +191,6 @@ def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
         sh=np.concatenate([constant[:, None], _higher_bands(meta, fetch_image)], axis=1),
         antialiased=meta.antialiased,
     )
-    require_drawable(splats)
     return splats
 
 

@@ -15,7 +15,14 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.formats.shared.axes import RDF_RUB, AxisSigns
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_SPLATS, Data, read_array, require_length
+from gsgen.formats.shared.bytes import (
+    DOWNLOAD_HINT,
+    MAX_SPLATS,
+    Data,
+    not_recognised,
+    read_array,
+    require_length,
+)
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
@@ -25,7 +32,6 @@ from gsgen.formats.shared.errors import (
     ValueInvalid,
 )
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.recognition import not_recognised
 from gsgen.formats.spz import zstd
 from gsgen.formats.spz.streams import STREAM_NAMES, sizes
 

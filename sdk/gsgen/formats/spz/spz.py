@@ -15,7 +15,7 @@ from gsgen.formats.shared.axes import AxisSigns, axis_signs, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming, replace_file
-from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splat_values import drawable, require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container as container
 from gsgen.formats.spz import streams as streams
@@ -36,7 +36,13 @@ _LARGEST_HALF = 65504.0
 _READ_BYTES = 1 << 20
 
 
-def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = None) -> Splats:
+def read_spz(
+    path: FilePath,
+    *,
+    max_bytes: int = MAX_BYTES,
+    axes: str | None = None,
+    drop_invalid: bool = False,
+) -> Splats:
     """Read the SPZ file at ``path``, of version 1, 2, 3 or 4.
 
     Axes are converted from x right, y up, z back, or from the declared system, to those of a PLY.
@@ -46,6 +52,7 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = N
         max_bytes: The limit of the unpacked attributes, in bytes.
         axes: The axes of the file, such as ``RDF``, which some programs write without declaring
             it; None for those of the format.
+        drop_invalid: Drop rows that cannot be drawn, and warn about them.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -59,7 +66,8 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = N
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
-        return decode_spz(data, max_bytes, None if axes is None else axis_signs(axes))
+        splats = decode_spz(data, max_bytes, None if axes is None else axis_signs(axes))
+        return drawable(splats, path, drop_invalid=drop_invalid)
 
 
 def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: AxisSigns | None = None) -> Splats:
@@ -72,7 +80,6 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: AxisSigns | None =
         fractional_bits=frame.fractional_bits,
         antialiased=frame.antialiased,
     )
-    require_drawable(splats)
     return _flipped(splats, frame.signs if signs is None else signs)
 
 

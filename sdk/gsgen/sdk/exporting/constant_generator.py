@@ -5,7 +5,7 @@ kernel to record.
 """
 
 __all__ = [
-    "ConstantRows", "ConstantSource", "constant_manifest", "export_constant",
+    "Axis", "ConstantRows", "ConstantSource", "constant_manifest", "export_constant",
     "write_constant",
 ]  # fmt: skip
 
@@ -55,6 +55,9 @@ from gsgen.sdk.exporting.pipeline import (
     no_progress,
 )
 
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+"""An axis of a scene with its sign."""
+
 _IR_VERSION = 8
 _BOUNDS_MARGIN = 1e-3
 _OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
@@ -71,6 +74,7 @@ class ConstantRows:
     color_space: Literal["srgb", "linear"] = "srgb"  # color space of the appearance
     # the antialiasing that the scene was trained with
     antialias: Literal["classic", "mip"] = "classic"
+    up: Axis = "-y"  # the upward axis of the scene
     notes: tuple[str, ...] = ()  # changes that the user should know of, a sentence each
     # whether the rows are the user's own, written even if they break rules
     passes_through: bool = False
@@ -165,7 +169,7 @@ def constant_manifest(
             ),
             CountOutput("num_points"),
         ),
-        space=Space(),
+        space=Space(up=packed.up),
         bounds=Bounds.from_points(packed.rows[:, layout.POSITION], _BOUNDS_MARGIN),
         antialias=packed.antialias,
         tolerances=Tolerances(),

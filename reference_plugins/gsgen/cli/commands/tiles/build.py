@@ -116,6 +116,7 @@ def build(
         qualities=_QUALITIES[quality] if codec == "spz" else (0,),
         implicit=implicit,
         transform=_transform(transform, lon, lat, height),
+        turn_upright=transform is None,
     )
     generators = [open_generator(path) for path in neural or ()]
     progress: Progress = JsonProgress(_print_line) if as_json else BarProgress()
