@@ -39,7 +39,7 @@ def suspicions(splats: Splats, count: int | None = None) -> list[str]:
             "than the distances between them, as if exp was applied twice.)"
         )
     opacity = sample.logit_opacity
-    if opacity.min() >= 0 and opacity.max() <= 1 and opacity.max() > 0:
+    if 0 <= opacity.min() < opacity.max() <= 1:  # equal ones may be meant
         messages.append(
             "all opacities lie from 0 to 1: activated, not logits? (The picture is half "
             "transparent, as if the sigmoid was applied twice.)"
