@@ -188,3 +188,22 @@ def test_invalid_coordinate_frame_is_refused(tmp_path, offset, value, kind, text
         read_glb(file)
     assert str(caught.value).removeprefix(f"{file}: ").startswith(text), str(caught.value)
     assert type(caught.value) is kind
+
+
+@pytest.mark.parametrize(
+    "extension",
+    ["EXT_mesh_gpu_instancing", "KHR_node_visibility", "VENDOR_unknown", "KHR_texture_transform"],
+)
+def test_a_required_extension_that_is_not_known_is_refused(tmp_path, extension):
+    write_glb(tmp_path / "a.glb", scene(3, 0))
+    content = (tmp_path / "a.glb").read_bytes()
+    size = int.from_bytes(content[12:16], "little")
+    document = json.loads(content[20 : 20 + size])
+    document["extensionsRequired"] = ["KHR_gaussian_splatting", extension]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + size :]
+    header = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    (tmp_path / "b.glb").write_bytes(header + struct.pack("<I4s", len(text), b"JSON") + text + rest)
+    with pytest.raises(NotSupported, match=f"the file needs {extension}, which is not supported"):
+        read_glb(tmp_path / "b.glb")
