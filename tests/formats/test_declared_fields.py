@@ -88,10 +88,10 @@ def test_an_unknown_vertical_axis_is_named(tmp_path: Path, text: str) -> None:
 def test_formats_that_lose_the_upward_direction_say_so(tmp_path: Path, name: str) -> None:
     source = tmp_path / "a.ply"
     write_ply(source, scene(20, 0, up=(0.0, 0.0, 1.0), color_space="linear"))
-    losses = convert(source, tmp_path / f"b.{name}", codec_named(name)).lost_features
+    losses = convert(source, tmp_path / f"b.{name}", codec_named(name)).lost
     assert "the upward direction (0, 0, 1)" in losses
     assert ("the flag that the colours are linear" in losses) == (name != "glb")
-    assert not convert(source, tmp_path / "b.ply", codec_named("ply")).lost_features
+    assert not convert(source, tmp_path / "b.ply", codec_named("ply")).lost
 
 
 @pytest.mark.parametrize(
