@@ -17,8 +17,8 @@ import onnxruntime
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.installed_runtime import installed_bounds
-from gsgen.contract.model.model_file import open_model
-from gsgen.contract.model.versions import declared_opset, operators_changed_since
+from gsgen.contract.model.model_file import declared_opset, open_model
+from gsgen.contract.model.versions import operators_changed_since
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.targets import load_target
 from gsgen.sdk.float16.convert_model import write_float16

@@ -5,12 +5,11 @@ __all__ = ["InspectedModel", "inspect_model", "raised_to_installed"]
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from onnx import ModelProto
 
 from gsgen.contract.model.graph import Graph, Tensor, read_graph
-from gsgen.contract.model.manifest_inference import Candidate, infer_manifest
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.process.limits import Limits
@@ -27,6 +26,9 @@ from gsgen.contract.spec.manifest_io import ParsedManifest, parse
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import operator_table
 from gsgen.contract.spec.targets import Target
+
+if TYPE_CHECKING:
+    from gsgen.contract.model.manifest_inference import Candidate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +48,7 @@ class InspectedModel:
     file: ModelFile
     graph: Graph
     parsed: ParsedManifest | None
-    candidate: Candidate | None
+    candidate: "Candidate | None"
     target: Target
     limits: Limits
     tolerances: Mapping[str, float] = field(default_factory=dict)
@@ -175,7 +177,11 @@ def inspect_model(
     graph = read_graph(file)
     text = file.manifest_text
     parsed = parse(text) if text is not None else None
-    candidate = infer_manifest(graph, file.path.stem) if parsed is None else None
+    candidate = None
+    if parsed is None:
+        from gsgen.contract.model.manifest_inference import infer_manifest
+
+        candidate = infer_manifest(graph, file.path.stem)
     return InspectedModel(
         file=file,
         graph=graph,

@@ -7,6 +7,7 @@ __all__ = [
     "ExternalRef",
     "ModelFile",
     "bodies",
+    "declared_opset",
     "open_model",
     "parse_length",
     "small_array",
@@ -37,7 +38,6 @@ from onnx import (
 )
 
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.contract.model.protobuf_scan import (
     BYTES,
     STUB_BYTES,
@@ -50,6 +50,7 @@ from gsgen.contract.process.atomic_files import similar_file_hint
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 
 Body = GraphProto | FunctionProto
 
@@ -234,6 +235,8 @@ def _has_sparse(body: Body) -> bool:
 
 
 def _not_onnx(path: Path, message: str) -> ModelUnreadable:
+    from gsgen.contract.file_kinds.recognition import kind_of_file
+
     kind = kind_of_file(path)
     if kind is not None and kind.name != "onnx":
         message = f"is not an ONNX model but {kind.title}"
@@ -289,6 +292,12 @@ def bodies(proto: ModelProto) -> Iterator[Body]:
         yield body
         for attribute in _attributes(body):
             queue += subgraphs(attribute)
+
+
+def declared_opset(proto: ModelProto) -> int | None:
+    """Return the version of the ONNX operator set that a model declares; None without one."""
+    versions = {entry.domain: entry.version for entry in proto.opset_import}
+    return next((versions[domain] for domain in MAIN_DOMAIN if domain in versions), None)
 
 
 def subgraphs(attribute: AttributeProto) -> list[GraphProto]:

@@ -17,7 +17,6 @@ from google.protobuf.message import DecodeError
 from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
 
 from gsgen.contract.model.model_file import subgraphs
-from gsgen.contract.process.parent_watchdog import exit_with_parent, python_command
 
 # Exceptions of ONNX's library besides its own error.
 _INFERENCE_ERRORS = (
@@ -118,6 +117,8 @@ def _is_long(value: ValueInfoProto) -> bool:
 
 def _propagate_in_subprocess(proto: ModelProto) -> ModelProto | None:
     """Run ONNX data propagation in a child process; return None if it fails or exceeds limits."""
+    from gsgen.contract.process.parent_watchdog import python_command
+
     try:
         finished_process = subprocess.run(
             [*python_command(), "-m", "gsgen.contract.model.shape_inference"],
@@ -155,5 +156,7 @@ def first_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
+    from gsgen.contract.process.parent_watchdog import exit_with_parent
+
     exit_with_parent()
     sys.exit(_run_child_process())

@@ -1,7 +1,6 @@
 """The versions that a model file declares, and whether lower ones would mean the same."""
 
 __all__ = [
-    "declared_opset",
     "lower_ir_version_hint",
     "lower_opset_hint",
     "lowest_ir_version",
@@ -14,7 +13,7 @@ from typing import Final
 import onnx
 from onnx import ModelProto, NodeProto
 
-from gsgen.contract.model.model_file import subgraphs
+from gsgen.contract.model.model_file import declared_opset, subgraphs
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 
 _COMMON_IR_VERSION: Final = 10  # what runtimes of the last years read
@@ -22,12 +21,6 @@ _COMMON_IR_VERSION: Final = 10  # what runtimes of the last years read
 # that each added; both ascend (ONNX's "Versioning" and onnx.proto3).
 _OPSET_IR_VERSIONS: Final = {23: 11, 24: 12, 25: 13, 28: 14}
 _TYPE_IR_VERSIONS: Final = {23: 11, 24: 12, 25: 13, 27: 14}  # 4 bits, 8 bits (e8m0), 2 bits, 6 bits
-
-
-def declared_opset(proto: ModelProto) -> int | None:
-    """Return the version of the ONNX operator set that a model declares; None without one."""
-    versions = {entry.domain: entry.version for entry in proto.opset_import}
-    return next((versions[domain] for domain in MAIN_DOMAIN if domain in versions), None)
 
 
 def lowest_ir_version(proto: ModelProto, most: int) -> int:

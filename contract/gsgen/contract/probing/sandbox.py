@@ -21,13 +21,10 @@ import numpy as np
 
 from gsgen.contract.errors import HostProcessFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files, require_loadable
-from gsgen.contract.model.load_failures import explain_load_failure
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.process.child_status import death_of, memory_refused
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.process.limits import Limits, inherited_memory_limit
-from gsgen.contract.process.parent_watchdog import child_environment, python_command
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
@@ -238,6 +235,8 @@ class _ProcessEnd(NamedTuple):
 
 def _run_child(folder: Path, seconds: float, worker: str) -> _ProcessEnd:
     """Run the sandbox's child process until it ends or its time is over."""
+    from gsgen.contract.process.parent_watchdog import child_environment, python_command
+
     environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
@@ -358,6 +357,9 @@ def _read_fault(
         HostProcessFailed: This machine ended the process.
     """
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
+    from gsgen.contract.model.load_failures import explain_load_failure
+    from gsgen.contract.process.child_status import death_of, memory_refused
+
     run_events = (event for event in reversed(events) if event["event"] in ("begin", "run"))
     begin_event = next(run_events, last)
     probe = begin_event.get("probe") if begin_event["event"] == "begin" else None

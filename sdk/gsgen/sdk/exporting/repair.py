@@ -14,8 +14,8 @@ from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
-from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
-from gsgen.contract.model.versions import declared_opset, lowest_ir_version, operators_changed_since
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, declared_opset, open_model
+from gsgen.contract.model.versions import lowest_ir_version, operators_changed_since
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import GeneratorManifest

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.model.versions import declared_opset, lower_ir_version_hint, lower_opset_hint
+from gsgen.contract.model.model_file import declared_opset
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN
 from gsgen.contract.spec.severity import Severity
@@ -36,9 +36,13 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
     elif not low <= opset <= high:
+        from gsgen.contract.model.versions import lower_opset_hint
+
         hint = lower_opset_hint(proto, high) if opset > high else ""
         yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}", hint=hint)
     if proto.ir_version > subject.target.ir:
+        from gsgen.contract.model.versions import lower_ir_version_hint
+
         yield Violation.at(
             "ir_version",
             str(proto.ir_version),
