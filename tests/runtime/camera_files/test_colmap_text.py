@@ -80,3 +80,11 @@ def test_a_camera_defined_twice_is_refused(tmp_path: Path) -> None:
     lens = "1 PINHOLE 64 48 50 50 32 24\n"
     with pytest.raises(ConfigInvalid, match=r"cameras.txt, line 2: defines camera 1 a second"):
         open_cameras(model(tmp_path, POSES[0], lens + lens.replace("50", "60")))
+
+
+def test_images_are_in_the_natural_order_of_their_names(tmp_path: Path) -> None:
+    lines = [f"{n} 1 0 0 0 0 0 4 1 frame_{n}.jpg" for n in (10, 2, 1, 100, 20, 9)]
+    file = open_cameras(model(tmp_path, "\n\n".join(lines)))
+    assert [camera.name for camera in file.cameras] == [
+        f"frame_{n}.jpg" for n in (1, 2, 9, 10, 20, 100)
+    ]

@@ -19,6 +19,7 @@ from gsgen.runtime.camera_files.colmap_models import PINHOLES, ColmapImage, Colm
 from gsgen.runtime.camera_files.fields import camera_at
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.natural_order import natural_key
 
 COLMAP_FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
 """Folders of a data set that may hold a COLMAP model."""
@@ -46,7 +47,7 @@ def read_colmap(folder: Path) -> CameraFile:
         raise ConfigInvalid(
             "the COLMAP model has no images, expected at least one", where=str(folder)
         )
-    ordered = sorted(images, key=lambda image: image.name)
+    ordered = sorted(images, key=lambda image: natural_key(image.name))
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used_lenses = {number: lenses[number] for number in sorted({image.lens for image in images})}
     return CameraFile(

@@ -45,6 +45,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.pictures import png_of
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.natural_order import natural_key
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -187,7 +188,10 @@ def _match_cameras(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple
     if not folder.is_dir():
         raise InputUnreadable("is not a folder, expected one of training images", where=str(folder))
     by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    paths = sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES),
+        key=lambda path: natural_key(path.name),
+    )
     sources = [_read_source(path, by_stem[path.stem]) for path in paths if path.stem in by_stem]
     if not sources:
         names = ", ".join(list(by_stem)[:3])

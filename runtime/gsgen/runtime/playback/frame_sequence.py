@@ -39,7 +39,8 @@ class FrameSequence(Playback):
         mode: The output that is drawn.
         background: Red, green, blue and alpha, from 0 to 1.
         time: One time for all frames; None to go through the range over several frames.
-        frames: Number of frames; None for one per camera, or per value of the tracks.
+        frames: Number of frames; None for one per camera, per value of the tracks, or per file of
+            a sequence.
         turn: Degrees that an orbit turns over all frames; None for a full turn if nothing else
             moves.
         tracks: Values of other inputs.
@@ -81,7 +82,8 @@ class FrameSequence(Playback):
             sources,
             post,
             timeline,
-            frames=frames or max(len(view.cameras), timeline.frames),
+            frames=frames
+            or max(len(view.cameras), timeline.frames, *(len(source.files) for source in sources)),
             fps=fps or view.fps,
             sh_degree=sh_degree,
             antialias=antialias,

@@ -10,6 +10,7 @@ from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
+from gsgen.runtime.sources.sequence_source import SequenceSource, sequence_files
 from gsgen.runtime.sources.source import GeneratorSource, Source, StillFrameSource
 from gsgen.runtime.sources.stream_settings import StreamOpener
 
@@ -39,6 +40,8 @@ def open_source(
         SceneInvalid: The model is not a generator.
         SizeUnknown: A dimension has no size.
     """
+    if files := sequence_files(path):
+        return SequenceSource(path, files) if len(files) > 1 else StillFrameSource(files[0])
     if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes, confined)
     if names_tileset(path):

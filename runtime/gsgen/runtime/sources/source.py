@@ -76,6 +76,7 @@ class Source(ABC):
         inputs: The inputs that a caller may set.
         pools: Pools whose tiles are drawn with the Gaussians.
         seconds: Seconds that the current frame took to compute.
+        files: The files of a sequence, one per frame; empty for other sources.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Source(ABC):
     inputs: tuple[Input, ...] = ()
     pools: tuple[PooledSplatSet, ...] = ()
     seconds: float = 0.0
+    files: Sequence[Path] = ()
     _extent: tuple[Center, float] | None = None
 
     @abstractmethod

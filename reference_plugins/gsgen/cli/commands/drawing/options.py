@@ -172,7 +172,8 @@ Scenes = Annotated[
     list[Path],
     typer.Argument(
         help="Splat files, meshes, ONNX generators, tilesets (files or addresses) and scene.json; "
-        "several form one scene.",
+        "several form one scene. A folder of numbered splat files, or a pattern such as "
+        "frames/%04d.ply, is a sequence in time.",
         show_default=False,
     ),
 ]
