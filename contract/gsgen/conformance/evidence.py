@@ -159,13 +159,13 @@ def _sufficient_probe(rerun: Replay, case: Case, numbers: list[int]) -> Probe | 
 
 
 def _command(path: Path, settings: Settings, case: Case, probe: Probe | None = None) -> str:
-    words = ["gsgen", "repro", os.path.relpath(path) if _is_near(path) else str(path)]
+    words = ["gsgen", "repro", os.path.relpath(path) if _is_near_cell_time(path) else str(path)]
     words += ["--rule", case.rule.id]
     words += ["--probe", probe.label] if probe else []
     return shlex.join([*words, *_options(settings)])
 
 
-def _is_near(path: Path) -> bool:
+def _is_near_cell_time(path: Path) -> bool:
     return path.resolve().is_relative_to(Path.cwd())
 
 

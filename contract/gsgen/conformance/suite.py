@@ -60,7 +60,7 @@ class Suite:
     claims: Callable[[Rule], bool]
 
 
-def _is_kind(*kinds: str) -> Callable[[DeclaredFeatures], bool]:
+def _is_manifest_kind(*kinds: str) -> Callable[[DeclaredFeatures], bool]:
     return lambda declared: declared.kind in kinds
 
 
@@ -113,17 +113,19 @@ ALL_SUITES: tuple[Suite, ...] = (
     Suite(
         "appearance",
         "Colours have the declared layout and sensible values.",
-        _is_kind(GENERATOR),
+        _is_manifest_kind(GENERATOR),
         _has_id(
             *("GM007", "GM008", "GO005", "GO006", "GO007", "GO009", "GV012", "GV013"),
             *("GV014", "GV022", "GV044", "GV045", "GV046", "GV047", "GV048", "TV102", "TV104"),
         ),
     ),
-    Suite("post-process", "Images in, images out.", _is_kind(POST_PROCESS), _is_tensor_rule),
+    Suite(
+        "post-process", "Images in, images out.", _is_manifest_kind(POST_PROCESS), _is_tensor_rule
+    ),
     Suite(
         "trajectory",
         "Camera states in, camera states with uncertainty out.",
-        _is_kind(TRAJECTORY),
+        _is_manifest_kind(TRAJECTORY),
         _is_tensor_rule,
     ),
     Suite(
@@ -160,13 +162,13 @@ def plan_suites(
         suite.name: [] for suite in (BASIC, *applicable_suites)
     }
     for rule in rules:
-        if _can_apply(rule, declared.kind, target):
+        if _can_rule_apply(rule, declared.kind, target):
             suite = next(suite for suite in applicable_suites if suite.claims(rule))
             rules_by_suite[suite.name].append(rule)
     return {name: tuple(suite_rules) for name, suite_rules in rules_by_suite.items() if suite_rules}
 
 
-def _can_apply(rule: Rule, kind: str, target: Target) -> bool:
+def _can_rule_apply(rule: Rule, kind: str, target: Target) -> bool:
     if rule.target and rule.target != target.name:
         return False
     if rule.limit and rule.limit not in target.limits:

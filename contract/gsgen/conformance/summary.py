@@ -48,7 +48,7 @@ def lines_of(run: ModelRun) -> list[Line]:
     lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {scope}", "bold")]
     for name, cases in run.suites.items():
         worst_status = max((case.status for case in cases), key=_severity_rank)
-        lines.append(Line(f"  {name:<13} {_counts_text(cases)}", _STYLE.get(worst_status, "")))
+        lines.append(Line(f"  {name:<13} {_case_counts_text(cases)}", _STYLE.get(worst_status, "")))
     for case in run.cases:
         if case.status in _STYLE:
             lines += _case_lines(run, case)
@@ -59,7 +59,7 @@ def _severity_rank(status: CaseStatus) -> int:
     return ("skipped", "passed", "expected", "warned", "failed", "crashed").index(status)
 
 
-def _counts_text(cases: Sequence[Case]) -> str:
+def _case_counts_text(cases: Sequence[Case]) -> str:
     counted = Counter(case.status for case in cases)
     return ", ".join(f"{counted[status]} {status}" for status in _STATUS_ORDER if counted[status])
 
@@ -72,7 +72,7 @@ def _case_lines(run: ModelRun, case: Case) -> list[Line]:
 def _verdict(run: ModelRun) -> Line:
     code = exit_code([run])
     word = {0: "passed", 1: "failed", 3: "a rule crashed, no verdict"}[code]
-    return Line(f"{word}: {_counts_text(run.cases)}", "bold red" if code else "bold green")
+    return Line(f"{word}: {_case_counts_text(run.cases)}", "bold red" if code else "bold green")
 
 
 def to_json(entries: Sequence[Entry]) -> str:

@@ -60,7 +60,7 @@ def _run() -> None:
         finally:
             sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:
-        _fail(error)
+        _exit_with_error(error)
     except BrokenPipeError:
         _end_at_closed_pipe()
     except OSError as error:
@@ -74,7 +74,7 @@ def _run() -> None:
     except KeyboardInterrupt:
         raise
     except BaseException:  # a crash is neither a verdict nor a wrong option
-        _crash()
+        _exit_after_crash()
 
 
 @contextmanager
@@ -132,18 +132,22 @@ def _fail_at_system(error: OSError) -> Never:
     if error.errno in _UNWRITABLE_ERRORS:
         _fail_unwritable(error)
     if error.filename is not None:
-        _fail(GsgenError(error.strerror or str(error), where=str(error.filename)))
+        _exit_with_error(GsgenError(error.strerror or str(error), where=str(error.filename)))
     if error.errno == errno.ENOENT:  # of os.getcwd(), which names no file
-        _fail(GsgenError("the current folder does not exist", hint="Change to another folder."))
-    _crash()
+        _exit_with_error(
+            GsgenError("the current folder does not exist", hint="Change to another folder.")
+        )
+    _exit_after_crash()
 
 
 def _fail_at_text(error: UnicodeEncodeError) -> Never:
     """Report a file name whose bytes are not UTF-8, which libraries and formats cannot take."""
     text = error.object[error.start : error.end]
     if not all("\udc80" <= character <= "\udcff" for character in text):
-        _crash()
-    _fail(GsgenError("the name is not valid UTF-8", where=error.object, hint="Rename the file."))
+        _exit_after_crash()
+    _exit_with_error(
+        GsgenError("the name is not valid UTF-8", where=error.object, hint="Rename the file.")
+    )
 
 
 def _fail_unwritable(error: OSError) -> Never:
@@ -156,10 +160,10 @@ def _fail_unwritable(error: OSError) -> Never:
     hint = "Make room where it goes; the environment variable TMPDIR names another folder."
     if error.errno == errno.EBADF:
         hint = "Standard output is closed."
-    _fail(GsgenError(message, where=str(error.filename or ""), hint=hint))
+    _exit_with_error(GsgenError(message, where=str(error.filename or ""), hint=hint))
 
 
-def _crash() -> Never:
+def _exit_after_crash() -> Never:
     import traceback
 
     from gsgen.cli.progress import clear
@@ -183,7 +187,7 @@ def _report_early_end(ended: SystemExit) -> None:
     print(f"gsgen: {short_repr(cause)} ended the command: {where}", file=sys.stderr)
 
 
-def _fail(error: GsgenError) -> Never:
+def _exit_with_error(error: GsgenError) -> Never:
     from gsgen.cli.output import echo_error
 
     echo_error(error)

@@ -88,14 +88,14 @@ class SafeStream:
 def safe_streams() -> Iterator[None]:
     """Let stdout and stderr be safe streams during the block."""
     streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = map(_safe, streams)
+    sys.stdout, sys.stderr = map(_safe_stream, streams)
     try:
         yield
     finally:
         sys.stdout, sys.stderr = streams
 
 
-def _safe(stream: TextIO | None) -> Any:
+def _safe_stream(stream: TextIO | None) -> Any:
     return stream if stream is None or isinstance(stream, SafeStream) else SafeStream(stream)
 
 
@@ -149,11 +149,11 @@ def transliterate(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     is_json = error.object[:1] + error.object.rstrip()[-1:] in ("{}", "[]")
-    convert = _escape if is_json else _substitute
+    convert = _escape if is_json else _ascii_substitute
     return "".join(map(convert, error.object[error.start : error.end])), error.end
 
 
-def _substitute(character: str) -> str:
+def _ascii_substitute(character: str) -> str:
     if character in _ASCII_SUBSTITUTES:
         return _ASCII_SUBSTITUTES[character]
     name = unicodedata.name(character, "")
@@ -164,7 +164,7 @@ def _substitute(character: str) -> str:
     tag, _, points = unicodedata.decomposition(character).partition(" ")
     base = chr(int(points, 16)) if tag in _ASCII_BY_MARKUP_TAG and " " not in points else ""
     if base:
-        return _ASCII_BY_MARKUP_TAG[tag] + (base if base.isascii() else _substitute(base))
+        return _ASCII_BY_MARKUP_TAG[tag] + (base if base.isascii() else _ascii_substitute(base))
     if tag == "<fraction>":
         return unicodedata.normalize("NFKD", character).replace("⁄", "/")
     return _escape(character)

@@ -118,9 +118,9 @@ def resolve_input(path: FilePath, *, max_bytes: int = MAX_BYTES) -> FilePath:
     with naming(path):
         file: FilePath = _standard_input() if os.fspath(path) == STANDARD_INPUT else path
         if Path(path).is_dir():
-            file = _in_folder(Path(path))
+            file = _find_file_in_folder(Path(path))
         for _ in range(_MAX_NESTING):
-            content = _unpacked(file, max_bytes)
+            content = _unpack_archive(file, max_bytes)
             if content is None:
                 break
             file = content
@@ -162,7 +162,7 @@ def _newest(names: Sequence[str]) -> tuple[str, int] | None:
     return None
 
 
-def _in_folder(folder: Path) -> Path:
+def _find_file_in_folder(folder: Path) -> Path:
     names = _file_names(folder)
     newest = _newest(names)
     if newest is not None:
@@ -175,7 +175,7 @@ def _in_folder(folder: Path) -> Path:
     if len(splat_names) == 1:
         return folder / splat_names[0]
     if splat_names:
-        raise _several_error("folder", splat_names)
+        raise _several_files_error("folder", splat_names)
     has_training = any((folder / name).exists() for name in _TRAINING_FILES)
     raise FileUnreadable(
         "the path is a folder without a file of splats",
@@ -184,7 +184,7 @@ def _in_folder(folder: Path) -> Path:
     )
 
 
-def _several_error(noun: str, names: Sequence[str]) -> NotSupported:
+def _several_files_error(noun: str, names: Sequence[str]) -> NotSupported:
     listed = ", ".join(names[:_MAX_LISTED_FILES]) + (
         ", …" if len(names) > _MAX_LISTED_FILES else ""
     )
@@ -195,7 +195,7 @@ def _several_error(noun: str, names: Sequence[str]) -> NotSupported:
     )
 
 
-def _unpacked(path: FilePath, max_bytes: int) -> FileContent | None:
+def _unpack_archive(path: FilePath, max_bytes: int) -> FileContent | None:
     """Return the file of splats in a ZIP archive or gzip file; None if the file is neither."""
     with open_file(path) as file:
         start = file.read(len(ZIP_MAGIC))
@@ -236,7 +236,7 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
     size = stream_size(file)
     with unpacking("archive"), zipfile.ZipFile(file) as archive:
         entries = [entry for entry in archive.infolist() if _is_content(entry)]
-        newest = _newest([_below_common_folder(entry.filename, entries) for entry in entries])
+        newest = _newest([_strip_common_folder(entry.filename, entries) for entry in entries])
         readable = [
             entry
             for entry in entries
@@ -244,7 +244,7 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
             if newest is not None or _is_readable(archive, entry)
         ]
         if len(readable) > 1:
-            raise _several_error("ZIP archive", [entry.filename for entry in readable])
+            raise _several_files_error("ZIP archive", [entry.filename for entry in readable])
         if not readable:
             kind = archive_kind(archive.namelist())
             raise NotSupported(
@@ -270,7 +270,7 @@ def _is_content(entry: zipfile.ZipInfo) -> bool:
     return not entry.is_dir() and entry.file_size > 0 and not is_hidden
 
 
-def _below_common_folder(name: str, entries: Sequence[zipfile.ZipInfo]) -> str:
+def _strip_common_folder(name: str, entries: Sequence[zipfile.ZipInfo]) -> str:
     folder = name.partition("/")[0] + "/"
     is_common = all(entry.filename.startswith(folder) for entry in entries)
     known = folder in ("point_cloud/", "ply/", "ckpts/", "nerfstudio_models/")

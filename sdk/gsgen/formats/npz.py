@@ -59,7 +59,7 @@ def read_npz(
             arrays = read_arrays(archive, keys, max_bytes)
             names = [name for name in archive.namelist() if name.removesuffix(".npy") not in keys]
         warn_unused(path, [f"array {name.removesuffix('.npy')}" for name in names])
-        return _packed(*arrays) if keys == _PACKED_NAMES else _cloud(keys[0], *arrays)
+        return _packed_rows(*arrays) if keys == _PACKED_NAMES else _cloud(keys[0], *arrays)
 
 
 def _choose_arrays(names: list[str]) -> tuple[str, str]:
@@ -80,7 +80,7 @@ def _choose_arrays(names: list[str]) -> tuple[str, str]:
     return positions[0], _COLORS_KEY
 
 
-def _packed(
+def _packed_rows(
     gaussians: Shaped[np.ndarray, "..."], appearance: Shaped[np.ndarray, "..."]
 ) -> PackedRows:
     packed = PackedRows(_native_byte_order(gaussians), _native_byte_order(appearance))

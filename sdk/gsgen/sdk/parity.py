@@ -155,24 +155,26 @@ class Comparison:
         any_order: bool = False,
     ) -> None:
         self._allowance = Allowance(tolerances, roundings)
-        self._nearby, self._any_order = nearby, any_order
+        self._nearby_references, self._ignores_row_order = nearby, any_order
         self._worst_by_field: dict[str, FieldError] = {}
-        self._probe_count = self._jump_count = self._reorder_count = 0
+        self._probe_count = self._jump_row_count = self._reorder_count = 0
 
     def add(self, reference: Reference, output: ModelOutput) -> None:
         """Compare a model's outputs with the expected outputs for one set of test inputs."""
         self._probe_count += 1
         if reference.probe.zeros and not _all_finite(reference):
             return  # the module's own fault, which rule GI009 reports
-        fields, jump_rows = _compare_probe(reference, output, self._allowance, self._nearby)
-        ignores_order = self._any_order and reference.cells is None
+        fields, jump_rows = _compare_probe(
+            reference, output, self._allowance, self._nearby_references
+        )
+        ignores_order = self._ignores_row_order and reference.cells is None
         if ignores_order and not all(field.excess <= 1 for field in fields):
             sorted_output = _match_row_order(reference, output)
             unordered_fields, _ = _compare_probe(reference, sorted_output, self._allowance, None)
             if all(field.excess <= 1 for field in unordered_fields):
                 fields, jump_rows = unordered_fields, 0
                 self._reorder_count += 1
-        self._jump_count += jump_rows
+        self._jump_row_count += jump_rows
         for field in fields:
             known = self._worst_by_field.get(field.field)
             if known is None or field.excess > known.excess:
@@ -182,7 +184,7 @@ class Comparison:
     def parity(self) -> Parity:
         """The result for the runs so far."""
         fields = tuple(self._worst_by_field.values())
-        return Parity(fields, self._probe_count, self._jump_count, self._reorder_count)
+        return Parity(fields, self._probe_count, self._jump_row_count, self._reorder_count)
 
 
 def compare(
@@ -325,7 +327,7 @@ def _row_errors(
 ) -> Errors:
     """Return the errors of some Gaussians of a model's output."""
     expected = reference.gaussians
-    packed = _packed(expected.position, expected.opacity, expected.covariance, rows)
+    packed = _packed_output(expected.position, expected.opacity, expected.covariance, rows)
     color = expected.rgb if expected.sh is None else expected.sh
     assert color is not None
     colors = color[rows].reshape(len(rows), -1), output.color[rows]
@@ -343,11 +345,11 @@ def _cell_errors(
     opacity, visibility = output.rows[:, layout.OPACITY], output.cells[:, layout.VISIBILITY]
     is_drawn = drawn_cells(reference.gaussians.opacity, reference.count, expected.visibility)[rows]
     is_drawn |= drawn_cells(opacity, output.count, visibility)[rows]
-    packed = _packed(expected.position, expected.visibility, expected.covariance, rows)
+    packed = _packed_output(expected.position, expected.visibility, expected.covariance, rows)
     return cell_errors((packed, output.cells[rows]), is_drawn, allowance)
 
 
-def _packed(
+def _packed_output(
     position: np.ndarray, opacity: np.ndarray, covariance: np.ndarray, rows: np.ndarray
 ) -> Float[np.ndarray, "n 10"]:
     return np.column_stack([position[rows], opacity[rows], covariance[rows]])

@@ -8,7 +8,7 @@ from onnx import AttributeProto, NodeProto
 
 from gsgen.conformance.fixtures.builders.arrays import i64
 from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting_model
-from gsgen.contract.rules.graph.capture import _copies_input
+from gsgen.contract.rules.graph.capture import _does_copy_input
 from gsgen.contract.rules.graph.graph import _node_location
 from gsgen.contract.rules.interface.extensions import cost_plausible
 from gsgen.contract.rules.targets.limits import fits_dispatch
@@ -91,4 +91,4 @@ def test_a_reduction_without_axes_copies_only_if_it_says_so(
         listed = value if isinstance(value, tuple) else ()
         node.attribute.append(AttributeProto(name=name, i=0 if listed else value, ints=listed))
     graph = SimpleNamespace(tensors={"axes": SimpleNamespace(dims=(2,))})
-    assert _copies_input(graph, node) is is_copy  # type: ignore[arg-type]
+    assert _does_copy_input(graph, node) is is_copy  # type: ignore[arg-type]

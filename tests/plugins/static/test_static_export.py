@@ -14,7 +14,7 @@ from gsgen.formats import PackedRows, PointCloud, write_ply
 from gsgen.reference_plugins.static.static import StaticScene
 from gsgen.reference_plugins.synthetic import torus_knot
 from gsgen.sdk import ExportRejected, ParityFailed, Plugin
-from gsgen.sdk.exporting.constant_generator import _check, export_constant
+from gsgen.sdk.exporting.constant_generator import _check_written_model, export_constant
 from gsgen.sdk.plugins.plugin import installed_plugins
 from support.commands import gsgen_here
 
@@ -75,11 +75,11 @@ def test_a_model_whose_output_differs_from_the_source_is_refused(tmp_path: Path)
     path = tmp_path / "m.onnx"
     export_constant(StaticScene(content=rows), path, settings=STATIC)
     (name,) = (entry.name for entry in onnx.load(path).graph.output if "gauss" in entry.name)
-    _check(path, {name: rows.gaussians})
+    _check_written_model(path, {name: rows.gaussians})
     other = rows.gaussians.copy()
     other[0, 0], other[1, 2] = 1.0, np.nan
     with pytest.raises(ParityFailed, match="2 of 40 output values differ from the source's"):
-        _check(path, {name: other})
+        _check_written_model(path, {name: other})
 
 
 def test_a_rejected_model_leaves_the_old_file(tmp_path: Path) -> None:

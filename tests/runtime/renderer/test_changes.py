@@ -208,7 +208,7 @@ def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
             with memory_of(100), pytest.raises(MemoryFull):
                 entry.render(changing.scene, camera(9 + step, 7))
         frame = entry.render(changing.scene, changing.camera, outputs=changing.outputs)
-        deep += entry._is_deep
+        deep += entry._has_deep_tiles
         arranged += any(page.rows_of is not None for _, page in entry._pages(changing.scene))
         assert differing_fields(frame, render_from_scratch(changing, entry, kind)) == [], (
             step,

@@ -266,7 +266,7 @@ def test_near_ties_are_as_in_float64(renderer: Renderer, quads: Renderer, name: 
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
     firm = ~expected.fragile_median
     np.testing.assert_array_equal(frame.ids[firm], expected.ids[firm])
-    assert renderer._is_deep == (name in DEEP)
+    assert renderer._has_deep_tiles == (name in DEEP)
     by_quads = quads.render(scene, view_camera).rgba
     open_still = ~expected.fragile & (expected.rgba[..., 3] < 0.99)
     assert open_still.any()
@@ -284,7 +284,7 @@ def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -
     actual, expected = renderer.render(scene, camera()), oracle.render(scene, camera())
     assert expected.fragile.mean() < 0.1
     assert np.abs(actual.rgba - expected.rgba)[~expected.fragile].max() <= 2e-5
-    assert renderer._is_deep == (tilt < 1e-6)
+    assert renderer._has_deep_tiles == (tilt < 1e-6)
 
 
 @pytest.mark.parametrize("name", ["tilted", "tilted_less"])
@@ -300,7 +300,7 @@ def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
         assert np.abs(actual - frame.rgba)[~frame.fragile].max() <= 2e-5
         plans.append(own_renderer._plan)
     assert plans[0] is plans[1] is plans[2]
-    assert own_renderer._is_deep == (name in DEEP)
+    assert own_renderer._has_deep_tiles == (name in DEEP)
 
 
 def frames_equal(frame: Frame, two: Frame) -> bool:
@@ -352,15 +352,15 @@ def test_thousands_at_one_depth_are_sorted(renderer: Renderer) -> None:
     data = plane(3000, 4, opacity=(0.02, 0.1))
     expected = oracle.render(Scene([data]), camera())
     frame = renderer.render(Scene([data]), camera())
-    assert not renderer._is_deep
+    assert not renderer._has_deep_tiles
     assert np.abs(frame.rgba - expected.rgba)[~expected.fragile].max() <= 1e-4
 
 
 def test_other_scenes_are_not_sorted_deeply(renderer: Renderer) -> None:
     scene, view_camera = NEAR_TIES["tilted_less"]()
     renderer.render(scene, view_camera)
-    assert renderer._is_deep
+    assert renderer._has_deep_tiles
     renderer.render(scene, view_camera.scaled(30, 20))
-    assert renderer._is_deep
+    assert renderer._has_deep_tiles
     renderer.render(*NEAR_TIES["tilted"]())
-    assert not renderer._is_deep
+    assert not renderer._has_deep_tiles

@@ -72,7 +72,7 @@ def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
 
 
 def test_missing_device_counts_as_absence(monkeypatch):
-    monkeypatch.setattr(webgpu, "_registered", True)
+    monkeypatch.setattr(webgpu, "_is_plugin_registered", True)
     monkeypatch.setattr(onnxruntime, "get_ep_devices", list)  # a fake: no device
     with pytest.raises(AdapterMissing, match="lists no device for WebGPU"):
         find_adapter()
@@ -83,7 +83,7 @@ def test_the_provider_is_registered_once(models):
     for _ in range(2):
         find_adapter()
         FrameSession(models["drift-float32"], provider="webgpu").close()
-    assert webgpu._registered
+    assert webgpu._is_plugin_registered
 
 
 def test_a_provider_that_does_not_exist_is_refused(models):

@@ -10,7 +10,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BIT_EXACT
-from gsgen.sdk.rewriting.output_equivalence import _limits_for, compare_files
+from gsgen.sdk.rewriting.output_equivalence import _limits_for_model, compare_files
 from support.passes import parsed
 
 
@@ -35,7 +35,7 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
     )
     model.graph.register_initializer(value)
     ir.save(model, tmp_path / "in.onnx", external_data="weights.bin")
-    memory_limits = _limits_for(tmp_path / "in.onnx", Limits(memory=1)).memory
+    memory_limits = _limits_for_model(tmp_path / "in.onnx", Limits(memory=1)).memory
     assert memory_limits > Limits(memory=1).for_model(array.nbytes).memory
 
 

@@ -22,7 +22,7 @@ from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION, neural_schema,
 from gsgen.tiles.format.volumes import Box, geodetic
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
-from gsgen.tiles.validation.fixtures import _neural
+from gsgen.tiles.validation.fixtures import _neural_sketch
 from support.commands import ROOT
 
 METRES = np.array([1 / 4.3e6, 1 / 6.4e6, 1.0])  # as longitude, latitude and height, at 47° north
@@ -84,7 +84,7 @@ def test_the_published_schema_is_the_reader_s() -> None:
 
 
 def test_a_neural_tile_is_read_and_its_content_stays(tmp_path: Path) -> None:
-    _neural().write(tmp_path / "tileset.json")
+    _neural_sketch().write(tmp_path / "tileset.json")
     tiles = [tile for tile in open_tileset(tmp_path).tiles() if tile.neural]
     (tile,) = tiles
     assert tile.neural is not None
@@ -151,7 +151,7 @@ def model_leaving_its_bounds() -> bytes:
     ids=["missing", "splats", "inputs", "bytes", "wide", "leaving", "still"],
 )
 def test_each_broken_promise_is_named(change, message: str, tmp_path: Path) -> None:
-    spec = _neural()
+    spec = _neural_sketch()
     change(spec)
     spec.write(tmp_path / "tileset.json")
     report = validate(tmp_path / "tileset.json")
@@ -177,12 +177,12 @@ def on_the_globe(spec: Any, margin: float) -> None:
 
 
 def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path: Path) -> None:
-    good = _neural()
+    good = _neural_sketch()
     on_the_globe(good, margin=2.0)
     good.write(tmp_path / "good" / "tileset.json")
     report = validate(tmp_path / "good" / "tileset.json")
     assert report.verdict == "conforms", report.findings
-    invalid_tile = _neural()
+    invalid_tile = _neural_sketch()
     on_the_globe(invalid_tile, margin=2.0)
     other_model(model_with_wide_bounds())(invalid_tile)
     invalid_tile.write(tmp_path / "bad" / "tileset.json")
@@ -195,7 +195,7 @@ def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path:
 
 
 def test_neural_tile_without_content_breaks_gt020(tmp_path: Path) -> None:
-    spec = _neural()
+    spec = _neural_sketch()
     no_content(spec)
     spec.write(tmp_path / "tileset.json")
     rules = {finding.rule for finding in validate(tmp_path).findings}

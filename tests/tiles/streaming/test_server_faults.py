@@ -256,7 +256,7 @@ def test_hostile_tile_is_one_line_and_leaves_the_other_drawn(name: str) -> None:
             assert frame.is_complete
             assert [entry.tile for entry in frame.drawn] == [0]
             assert frame.absent == (1,)
-            assert session._link.free == options.connections
+            assert session._fetch_link.free == options.connections
         assert server.strangers == 0
     assert len(lines) == 1
     assert server.address_of("bad.glb") in lines[0]

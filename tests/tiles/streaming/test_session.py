@@ -182,7 +182,7 @@ def test_connections_are_filled_again_between_two_frames(town: Path) -> None:
     """A renderer of few frames gets more tiles a frame than there are connections."""
     options = replace(OPTIONS, connections=1, predictor="none", fade_seconds=0)
     session = open_session(town, options)
-    link, pool, frustum = session._link, Pool(session), cameras(2)[0]
+    link, pool, frustum = session._fetch_link, Pool(session), cameras(2)[0]
     arrivals, deadline, is_complete = [], monotonic() + 60, False
     while not is_complete:
         assert monotonic() < deadline
@@ -192,7 +192,7 @@ def test_connections_are_filled_again_between_two_frames(town: Path) -> None:
         is_complete = frame.is_complete
         # The queue is empty, and all that was requested is decoded.
         while link.free < options.connections or link._results.qsize() < (
-            len(session._planner.in_flight) + len(link._started)
+            len(session._planner.in_flight) + len(link._started_requests)
         ):
             assert monotonic() < deadline
             sleep(0.01)
@@ -207,13 +207,13 @@ def test_the_queue_is_not_longer_than_frames_can_upload(town: Path) -> None:
     options = replace(OPTIONS, connections=1, predictor="none", upload_budget=budget)
     session = open_session(town, options)
     pool, queued = Pool(session), []
-    set_queue = session._link.queue
+    set_queue = session._fetch_link.queue
 
     def note(tiles: Iterable[int]) -> None:
         queued.append(list(tiles))
         set_queue(queued[-1])
 
-    session._link.queue = note
+    session._fetch_link.queue = note
     for _ in range(60):
         pool.take(session.frame(cameras(2)[0]))
         session.wait(0.02)

@@ -55,7 +55,9 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
         raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
     cases = [_check_case(kit, pictures, case, index) for case in index["cases"]]
     failed = {case["name"] for case in cases if case["verdict"] == "failed"}
-    differing_cases = {case["name"] for case in cases if any(map(_differs, case["frames"]))}
+    differing_cases = {
+        case["name"] for case in cases if any(map(_does_frame_differ, case["frames"]))
+    }
     frames = [frame for case in cases for frame in case["frames"]]
     causes = [frame.get("cause") for frame in frames]
     return {
@@ -172,11 +174,13 @@ def suspected_faults(
         cases
         for fault, cases in largest.items()
         if len(cases | slight[fault]) >= _MIN_EXPLAINED_SHARE * len(failed)
-    } or _explaining_pair(set(largest.values()), failed)
+    } or _explaining_fault_pair(set(largest.values()), failed)
     return [fault for fault in index["faults"] if largest.get(fault["id"]) in explaining_faults]
 
 
-def _explaining_pair(cases_by_fault: set[frozenset[str]], failed: set[str]) -> set[frozenset[str]]:
+def _explaining_fault_pair(
+    cases_by_fault: set[frozenset[str]], failed: set[str]
+) -> set[frozenset[str]]:
     """Return the two sets of cases whose union is ``failed``, if there is one such pair.
 
     Sets of one case take no part: any two failures would be explained by two of them.
@@ -186,7 +190,7 @@ def _explaining_pair(cases_by_fault: set[frozenset[str]], failed: set[str]) -> s
     return pairs[0] if len(pairs) == 1 else set()
 
 
-def _differs(frame: dict[str, Any]) -> bool:
+def _does_frame_differ(frame: dict[str, Any]) -> bool:
     """Return whether a picture was compared and failed, unlike one that cannot be read."""
     return frame["verdict"] == "failed" and "problem" not in frame
 
@@ -239,12 +243,14 @@ def compare(
     exceeded_tolerances = []
     if share > tolerance["share"]:
         percent, max_allowed = 100 * share, 100 * tolerance["share"]
-        words = f"{_exceeding_text(percent, max_allowed)} % of the pixels differ by more than "
+        words = (
+            f"{_exceeded_tolerance_text(percent, max_allowed)} % of the pixels differ by more than "
+        )
         words += f"{tolerance['pixel']:.3g}, expected at most {max_allowed:g} %"
         exceeded_tolerances.append(_exceeded_entry("share", share, tolerance, words))
     if mean > tolerance["mean"]:
         max_allowed = tolerance["mean"]
-        words = f"mean difference {_exceeding_text(mean, max_allowed)}, expected at most {max_allowed:g}"
+        words = f"mean difference {_exceeded_tolerance_text(mean, max_allowed)}, expected at most {max_allowed:g}"
         exceeded_tolerances.append(_exceeded_entry("mean", mean, tolerance, words))
     return {
         "verdict": "failed" if exceeded_tolerances else "passed",
@@ -261,7 +267,7 @@ def _exceeded_entry(
     return {"limit": limit, "actual": actual, "expected": tolerance[limit], "message": message}
 
 
-def _exceeding_text(actual: float, limit: float) -> str:
+def _exceeded_tolerance_text(actual: float, limit: float) -> str:
     """Return ``actual`` with as many digits as show that it is above ``limit``."""
     texts = (f"{actual:.{digits}g}" for digits in range(3, 18))
     return next((text for text in texts if float(text) > limit), repr(actual))
@@ -319,7 +325,7 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
             f"pixels beyond the tolerance {100 * frame['share']:.2f} %"
         )
         if frame["exceeded"]:
-            words = f"{html.escape(_reason(frame))} ({words})"
+            words = f"{html.escape(_undrawn_reason(frame))} ({words})"
     figures_html = "".join(
         f'<figure><img alt="{label}" src="data:image/png;base64,'
         f'{base64.b64encode(encode_png(image)).decode()}"><figcaption>{label}</figcaption></figure>'
@@ -328,7 +334,7 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
     return f"<div class=frame>{figures_html}</div><p><small>{html.escape(frame['picture'])}: {words}</small></p>"
 
 
-def _reason(frame: dict[str, Any]) -> str:
+def _undrawn_reason(frame: dict[str, Any]) -> str:
     return "; ".join(entry["message"] for entry in frame["exceeded"])
 
 
@@ -343,7 +349,7 @@ def _notes(result: dict[str, Any]) -> list[str]:
         if counts[cause]
     ]
     frames = (frame for case in result["cases"] for frame in case["frames"])
-    if not result["faults"] and any(map(_differs, frames)):
+    if not result["faults"] and any(map(_does_frame_differ, frames)):
         notes.append("no known fault explains these failures")
     return notes
 
@@ -354,7 +360,7 @@ def summary_of(result: dict[str, Any]) -> str:
     for case in result["cases"]:
         for frame in case["frames"]:
             if frame["verdict"] == "failed":
-                problem = frame.get("problem") or f"{frame['picture']}: {_reason(frame)}"
+                problem = frame.get("problem") or f"{frame['picture']}: {_undrawn_reason(frame)}"
                 lines.append(f"failed: {case['name']}: {problem}")
                 break
     lines += _notes(result)

@@ -80,7 +80,7 @@ def _coefficients() -> ModelSpec:
     )
 
 
-def _moving_case(
+def _moving_model_case(
     name: str,
     tests: str,
     faults: tuple[str, ...],
@@ -171,14 +171,14 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
         spec=lambda: drifting_model(12, span=(2.0, 10.0)),
         frames=tuple(orbit_frame(time=[time]) for time in (2.0, 10.0, 5.0, 2.0)),
     ),
-    _moving_case(
+    _moving_model_case(
         "frame-index",
         "A frame number in int32.",
         ("role-frame_index",),
         moving.frame_table,
         *(orbit_frame(frame=[number]) for number in (1, 6, 3)),
     ),
-    _moving_case(
+    _moving_model_case(
         "pose",
         "Joint rotations of an avatar, and its translation.",
         ("role-pose", "role-root_translation"),
@@ -186,7 +186,7 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
         orbit_frame(pose=_random_array(1, 4, 3), trans=_random_array(2, 3)),
         orbit_frame(pose=_random_array(3, 4, 3), trans=_random_array(4, 3)),
     ),
-    _moving_case(
+    _moving_model_case(
         "root-rotation",
         "The rotation of an avatar's root as a matrix, stored row by row.",
         ("role-root_rotation",),
@@ -206,7 +206,7 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
         ),
         slight=("dilation",),
     ),
-    _moving_case(
+    _moving_model_case(
         "appearance-id",
         "An identity number in int32 that chooses the colours.",
         ("role-appearance_id",),
@@ -214,7 +214,7 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
         *(orbit_frame(look=[number]) for number in (3, 1)),
         slight=("dilation",),
     ),
-    _moving_case(
+    _moving_model_case(
         "control",
         "A slider with a label of its own.",
         ("role-control",),

@@ -36,7 +36,7 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
     if not path.is_file():
         raise PictureMissing(
             f"{name}: the picture is missing: expected {array_path.name} or {image_path.name}"
-            + _near_name(folder, name)
+            + _similar_file_name(folder, name)
         )
     if array_path.is_file() and image_path.is_file():
         raise PictureUnreadable(
@@ -47,15 +47,15 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
         if path.stat().st_size > _MAX_BYTES:
             raise PictureUnreadable(f"the file is larger than the limit of {_MAX_BYTES:,} bytes")
         if path is image_path:
-            return _over_black(decode_png(path.read_bytes()))
-        return _array_over_black(path)
+            return _composite_picture_over_black(decode_png(path.read_bytes()))
+        return _read_array_over_black(path)
     except PictureUnreadable as error:
         raise PictureUnreadable(f"{path}: {error}") from error
     except OSError as error:
         raise PictureUnreadable(f"{path}: the picture cannot be read: {error.strerror}") from error
 
 
-def _near_name(folder: Path, name: str) -> str:
+def _similar_file_name(folder: Path, name: str) -> str:
     """Return a hint at the file that may be the picture ``name`` by another name, or nothing."""
     case, number = _name_parts(name)
     name_parts = {path.name: _name_parts(path.stem) for path in sorted(folder.iterdir())}
@@ -76,7 +76,7 @@ def _name_parts(stem: str) -> tuple[str, int]:
     return "-".join(words), 0
 
 
-def _array_over_black(path: Path) -> np.ndarray:
+def _read_array_over_black(path: Path) -> np.ndarray:
     """Read floats [h, w, 3 or 4] from a .npy file; drop alpha, which is multiplied already."""
     with path.open("rb") as file:
         magic = file.read(len(_ARRAY_MAGIC))
@@ -104,7 +104,7 @@ def _array_over_black(path: Path) -> np.ndarray:
     return np.asarray(np.clip(array[..., :3], 0, 1), np.float64)
 
 
-def _over_black(picture: np.ndarray) -> np.ndarray:
+def _composite_picture_over_black(picture: np.ndarray) -> np.ndarray:
     """Composite an 8-bit image, grey or RGB, with or without straight alpha, over black."""
     values = picture.astype(np.float64) / 255
     if values.shape[2] in (2, 4):

@@ -108,7 +108,7 @@ def _frame_entry(name: str, frame: KitFrame) -> dict[str, Any]:
     }
 
 
-def _spoiled_cases(fault: str) -> dict[str, list[str]]:
+def _cases_spoiled_by_fault(fault: str) -> dict[str, list[str]]:
     """Return the cases that a fault spoils, and those that it may spoil, if any."""
     names = [case.name for case in kit_cases() if fault in case.faults]
     slight = [case.name for case in kit_cases() if fault in case.slight]
@@ -123,7 +123,7 @@ def _index_document(cases: list[dict[str, Any]]) -> dict[str, Any]:
         "tolerance": TOLERANCE,
         "tolerance_8_bits": TOLERANCE_8_BITS,
         "faults": [
-            {"id": fault, "title": title, "hint": hint, **_spoiled_cases(fault)}
+            {"id": fault, "title": title, "hint": hint, **_cases_spoiled_by_fault(fault)}
             for fault, (title, hint) in VIEWER_FAULTS.items()
         ],
         "cases": cases,

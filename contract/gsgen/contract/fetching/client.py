@@ -96,13 +96,13 @@ class WebClient:
         headers: Mapping[str, str] | None = None,
         allow_origins: Sequence[str] = (),
     ) -> None:
-        self._home = _parse(home_address).origin
-        self._allowed = {self._home} | {
+        self._home_origin = _parse(home_address).origin
+        self._allowed = {self._home_origin} | {
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }
         self._headers = dict(headers or {})
         self._seconds = seconds
-        self._stall = min(self.deadline().seconds, _STALL_SECONDS)
+        self._stall_seconds = min(self.deadline().seconds, _STALL_SECONDS)
         self._pool = ConnectionPool()
 
     def size(self, address: str) -> int:
@@ -236,7 +236,7 @@ class WebClient:
         """Send a request, follow its redirects, and release the connection in the end."""
         target, current = _parse(address), address
         for _ in range(_MAX_REDIRECTS + 1):
-            connection, response = self._send(method, target, address, headers, deadline)
+            connection, response = self._send_request(method, target, address, headers, deadline)
             try:
                 if response.status not in _REDIRECTS:
                     check_status(response, address, is_ranged="Range" in headers)
@@ -245,10 +245,10 @@ class WebClient:
                 location = response.getheader("Location", "")
             finally:
                 self._pool.release(connection, response)
-            target, current = self._redirected(address, current, location)
+            target, current = self._redirect_target(address, current, location)
         raise ServerUnavailable(f"more than {_MAX_REDIRECTS} redirects", where=address)
 
-    def _send(
+    def _send_request(
         self,
         method: str,
         target: WebAddress,
@@ -257,7 +257,7 @@ class WebClient:
         deadline: Deadline,
     ) -> tuple[WebConnection, HTTPResponse]:
         """Send a request, and return its response, whose body was not read."""
-        own_headers = self._headers if target.origin == self._home else {}
+        own_headers = self._headers if target.origin == self._home_origin else {}
         sent_headers = {"User-Agent": "gsgen", **own_headers, **headers}
         while True:
             with self._failures_of(address, deadline):
@@ -266,7 +266,7 @@ class WebClient:
             try:
                 with self._failures_of(address, deadline):
                     response = connection.ask(
-                        method, target.target, sent_headers, deadline.within(self._stall)
+                        method, target.target, sent_headers, deadline.within(self._stall_seconds)
                     )
             except BaseException as error:
                 self._pool.release(connection, None)
@@ -276,7 +276,7 @@ class WebClient:
                 raise
             return connection, response
 
-    def _redirected(self, address: str, current: str, location: str) -> tuple[WebAddress, str]:
+    def _redirect_target(self, address: str, current: str, location: str) -> tuple[WebAddress, str]:
         """Return the address of an HTTP redirect; raise if its origin is not allowed."""
         allowed = " or ".join(sorted(map(str, self._allowed)))
         try:
@@ -307,7 +307,7 @@ class WebClient:
         """Yield the pieces of a response's body."""
         response, connection = answer
         chunks = body_chunks(
-            response, connection.wire, deadline, stall=self._stall, max_bytes=max_bytes
+            response, connection.wire, deadline, stall=self._stall_seconds, max_bytes=max_bytes
         )
         while True:
             with self._failures_of(address, deadline, has_begun=True):
@@ -330,9 +330,9 @@ class WebClient:
             if deadline.remaining <= 0:
                 text = f"the file did not come within {deadline.seconds:g} s"
             elif has_begun:
-                text = f"less than a kilobyte came within {self._stall:g} s"
+                text = f"less than a kilobyte came within {self._stall_seconds:g} s"
             else:
-                text = f"{start} within {self._stall:g} s"
+                text = f"{start} within {self._stall_seconds:g} s"
             raise ServerUnavailable(
                 text, where=address, hint=f"{FETCH_SECONDS} sets the seconds for a file."
             ) from error

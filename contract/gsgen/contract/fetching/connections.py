@@ -94,8 +94,8 @@ class ConnectionPool:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._idle: list[WebConnection] = []
-        self._busy: set[WebConnection] = set()
+        self._idle_connections: list[WebConnection] = []
+        self._busy_connections: set[WebConnection] = set()
         self.is_closed = False
 
     def take(self, origin: Origin) -> WebConnection:
@@ -107,12 +107,14 @@ class ConnectionPool:
         with self._lock:
             if self.is_closed:
                 raise OSError("the client is closed")
-            connection = next((idle for idle in self._idle if idle.origin == origin), None)
+            connection = next(
+                (idle for idle in self._idle_connections if idle.origin == origin), None
+            )
             if connection is None:
                 connection = WebConnection(origin)
             else:
-                self._idle.remove(connection)
-            self._busy.add(connection)
+                self._idle_connections.remove(connection)
+            self._busy_connections.add(connection)
             return connection
 
     def release(self, connection: WebConnection, response: http.client.HTTPResponse | None) -> None:
@@ -125,10 +127,14 @@ class ConnectionPool:
         if response is not None:
             response.close()
         with self._lock:
-            self._busy.discard(connection)
-            if is_reusable and not self.is_closed and len(self._idle) < _MAX_IDLE_CONNECTIONS:
+            self._busy_connections.discard(connection)
+            if (
+                is_reusable
+                and not self.is_closed
+                and len(self._idle_connections) < _MAX_IDLE_CONNECTIONS
+            ):
                 connection.is_reused = True
-                self._idle.append(connection)
+                self._idle_connections.append(connection)
                 return
         connection.disconnect()
 
@@ -136,7 +142,7 @@ class ConnectionPool:
         """Close all connections; requests that run end with an error."""
         with self._lock:
             self.is_closed = True
-            connections = [*self._idle, *self._busy]
-            self._idle.clear()
+            connections = [*self._idle_connections, *self._busy_connections]
+            self._idle_connections.clear()
         for connection in connections:
             connection.disconnect()

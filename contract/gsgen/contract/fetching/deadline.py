@@ -53,12 +53,12 @@ class Deadline:
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
-        self._end = time.monotonic() + seconds
+        self._end_time = time.monotonic() + seconds
 
     @property
     def remaining(self) -> float:
         """Seconds until the deadline; 0 or less after it."""
-        return self._end - time.monotonic()
+        return self._end_time - time.monotonic()
 
     def require_time(self) -> float:
         """Return the seconds until the deadline.
@@ -74,7 +74,7 @@ class Deadline:
     def within(self, seconds: float) -> "Deadline":
         """Return the earlier of this deadline and one some seconds from now."""
         earlier_deadline = Deadline(seconds)
-        earlier_deadline._end = min(earlier_deadline._end, self._end)
+        earlier_deadline._end_time = min(earlier_deadline._end_time, self._end_time)
         return earlier_deadline
 
 

@@ -61,7 +61,7 @@ class FilePart:
         if response.length is None or response.getheader("Content-Encoding"):
             return min(self.max_bytes, self.max_undeclared)
         if self.size is None and response.length > self.max_bytes + self.start:
-            raise self._too_large(f"{response.length:,} bytes", self.max_bytes)
+            raise self._too_large_error(f"{response.length:,} bytes", self.max_bytes)
         return self.max_bytes
 
     def select(self, chunks: Iterator[bytes], before: int, budget: int) -> Iterator[bytes]:
@@ -74,12 +74,12 @@ class FilePart:
                 piece = piece[: self.size - taken]
             taken += len(piece)
             if taken > budget:
-                raise self._too_large(f"{taken:,} bytes or more", budget)
+                raise self._too_large_error(f"{taken:,} bytes or more", budget)
             yield piece
             if taken == self.size:
                 return
 
-    def _too_large(self, actual: str, budget: int) -> ResponseTooLarge:
+    def _too_large_error(self, actual: str, budget: int) -> ResponseTooLarge:
         return ResponseTooLarge(f"{actual}; expected {budget:,} bytes or fewer", where=self.address)
 
 

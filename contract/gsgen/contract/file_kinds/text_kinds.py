@@ -175,7 +175,7 @@ def _top_level_keys(text: str) -> dict[str, str]:
                 key = last_string
                 keys[key] = ""
         else:
-            last_string = _unquoted(token)
+            last_string = _strip_quotes(token)
             if (
                 depth == level
                 and key
@@ -186,7 +186,7 @@ def _top_level_keys(text: str) -> dict[str, str]:
     return keys
 
 
-def _unquoted(token: str) -> str:
+def _strip_quotes(token: str) -> str:
     try:
         return str(json.loads(token))
     except ValueError:

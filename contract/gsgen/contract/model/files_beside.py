@@ -58,7 +58,7 @@ def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
     """Return the real path of a file that a model names, or its fault and the expected file."""
     if not location or "\0" in location or _REFUSED_LOCATION_CHARACTER in location:
         return "no file name", _FILE_BESIDE_MODEL
-    if _leads_out(location):
+    if _does_leave_folder(location):
         return "leads out of the model's folder", "a relative path below it"
     named = model.parent.resolve() / model.name
     real = named.resolve()
@@ -82,7 +82,7 @@ def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
     return path
 
 
-def _leads_out(location: str) -> bool:
+def _does_leave_folder(location: str) -> bool:
     windows_path = PureWindowsPath(location)
     return bool(
         PurePosixPath(location).is_absolute() or windows_path.anchor or ".." in windows_path.parts

@@ -199,7 +199,9 @@ def read_graph(file: ModelFile) -> Graph:
     graph = file.proto.graph
     facts = _infer_facts(file)
     weights = {tensor.name: _weight_tensor(tensor) for tensor in graph.initializer}
-    weights |= {s.values.name: _weight_tensor(_to_dense(s)) for s in graph.sparse_initializer}
+    weights |= {
+        s.values.name: _weight_tensor(_densify_sparse_tensor(s)) for s in graph.sparse_initializer
+    }
     inputs = tuple(_value_tensor(v) for v in graph.input if v.name not in weights)
     outputs = tuple(
         _merge_declared(_value_tensor(v), facts.tensors.get(v.name)) for v in graph.output
@@ -220,7 +222,7 @@ def read_graph(file: ModelFile) -> Graph:
 
 
 def _infer_facts(file: ModelFile) -> _GraphFacts:
-    proto = _without_stubs(file)
+    proto = _proto_without_stub_tensors(file)
     facts = _GraphFacts({})
     try:
         onnx.checker.check_model(proto)
@@ -235,7 +237,7 @@ def _infer_facts(file: ModelFile) -> _GraphFacts:
     if inferred is None:
         return facts
     tensors = _value_infos(inferred)
-    if not facts.inference and _is_open(proto, tensors):
+    if not facts.inference and _has_missing_producers(proto, tensors):
         inferred, facts.inference = propagate(proto, inferred)
         tensors = _value_infos(inferred)
     facts.tensors = {
@@ -253,7 +255,7 @@ def _value_infos(proto: ModelProto) -> dict[str, Tensor]:
     return {v.name: _value_tensor(v) for v in (*proto.graph.value_info, *proto.graph.output)}
 
 
-def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
+def _has_missing_producers(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
     """Return whether shape inference left the shape of some node output unknown."""
     sizes = (tensor.dims for tensor in tensors.values())
     if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
@@ -262,7 +264,7 @@ def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
     return any(name and name not in tensors for name in outputs)
 
 
-def _without_stubs(file: ModelFile) -> ModelProto:
+def _proto_without_stub_tensors(file: ModelFile) -> ModelProto:
     """Return a copy of a model without unread weights, which ONNX's checker accepts.
 
     Weights of the main graph become inputs of the same type. Weights of subgraphs become
@@ -285,7 +287,7 @@ def _without_stubs(file: ModelFile) -> ModelProto:
     return copy
 
 
-def _is_stub(tensor: TensorProto) -> bool:
+def _is_stub_tensor(tensor: TensorProto) -> bool:
     return tensor.raw_data == STUB_BYTES
 
 
@@ -295,16 +297,16 @@ def _remove_stubs(graph: GraphProto) -> list[TensorProto]:
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
     weights = list(graph.initializer)
-    stub_weights = [tensor for tensor in weights if _is_stub(tensor)]
+    stub_weights = [tensor for tensor in weights if _is_stub_tensor(tensor)]
     if stub_weights:
         del graph.initializer[:]
-        graph.initializer.extend(tensor for tensor in weights if not _is_stub(tensor))
-    stub_weights += [_to_dense(sparse) for sparse in graph.sparse_initializer]
+        graph.initializer.extend(tensor for tensor in weights if not _is_stub_tensor(tensor))
+    stub_weights += [_densify_sparse_tensor(sparse) for sparse in graph.sparse_initializer]
     del graph.sparse_initializer[:]
     return stub_weights
 
 
-def _to_dense(sparse: SparseTensorProto) -> TensorProto:
+def _densify_sparse_tensor(sparse: SparseTensorProto) -> TensorProto:
     kind = sparse.values.data_type
     return TensorProto(
         name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB_BYTES
@@ -330,11 +332,11 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
         node = body.node[index]
         for attribute in node.attribute:
             for tensor in (attribute.t, *attribute.tensors):
-                if _is_stub(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
+                if _is_stub_tensor(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
                     if not tensor.dims:  # a sparse tensor needs an axis, which a scalar lacks
                         body.node.insert(index + 1, _squeeze(node))
                     _make_sparse(attribute, tensor)
-                elif _is_stub(tensor):
+                elif _is_stub_tensor(tensor):
                     tensor.CopyFrom(_empty_tensor(tensor.data_type))
             for sparse in (attribute.sparse_tensor, *attribute.sparse_tensors):
                 _clear_sparse(sparse)
@@ -356,7 +358,7 @@ def _make_sparse(attribute: AttributeProto, tensor: TensorProto) -> None:
 
 
 def _clear_sparse(sparse: SparseTensorProto) -> None:
-    if _is_stub(sparse.values) or _is_stub(sparse.indices):
+    if _is_stub_tensor(sparse.values) or _is_stub_tensor(sparse.indices):
         sparse.values.CopyFrom(_empty_tensor(sparse.values.data_type))
         sparse.indices.CopyFrom(_empty_tensor(TensorProto.INT64))
 

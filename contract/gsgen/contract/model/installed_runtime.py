@@ -15,15 +15,17 @@ _OLD_OPSET, _OLD_IR = 13, 8
 @cache
 def installed_bounds() -> tuple[int, int]:
     """Return the highest operator set and the highest IR version that ONNX Runtime loads."""
-    opset = _highest_supported(_OLD_OPSET, lambda version: _loads(version, _OLD_IR))
-    return opset, _highest_supported(_OLD_IR, lambda version: _loads(_OLD_OPSET, version))
+    opset = _highest_supported(_OLD_OPSET, lambda version: _does_runtime_load(version, _OLD_IR))
+    return opset, _highest_supported(
+        _OLD_IR, lambda version: _does_runtime_load(_OLD_OPSET, version)
+    )
 
 
 def _highest_supported(first: int, can_load: Callable[[int], bool]) -> int:
     return next(version for version in count(first) if not can_load(version + 1))
 
 
-def _loads(opset: int, ir_version: int) -> bool:
+def _does_runtime_load(opset: int, ir_version: int) -> bool:
     """Return whether ONNX Runtime loads a model of one node, of these versions."""
     from onnxruntime import InferenceSession
 

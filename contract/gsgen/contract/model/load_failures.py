@@ -143,7 +143,7 @@ def _cycle(match: re.Match[str]) -> LoadFailure:
     return LoadFailure("the graph has a cycle", "Export the model again.")
 
 
-def _not_onnx(match: re.Match[str]) -> LoadFailure:
+def _not_onnx_error(match: re.Match[str]) -> LoadFailure:
     return LoadFailure("the file is not an ONNX model, or is cut off", "Copy the file again.")
 
 
@@ -181,5 +181,5 @@ _KINDS: Final[tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], LoadFailure
     (re.compile(r"Node \((.*?)\) Op \((\w+)\) \[\w+\] (.+)$"), _shapes),
     (re.compile(r"Node input '(.*?)' is not a graph input"), _dangling),
     (re.compile(r"graph is not acyclic"), _cycle),
-    (re.compile(r"protobuf parsing failed|ModelProto does not have a graph"), _not_onnx),
+    (re.compile(r"protobuf parsing failed|ModelProto does not have a graph"), _not_onnx_error),
 )  # fmt: skip

@@ -172,7 +172,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     proto = _parse(path, stripped_model.data)
     parts = list(bodies(proto))
     _check_texts(path, proto, parts)
-    detached = list(_detach_external(parts))
+    detached = list(_detach_external_weights(parts))
     external = tuple(ref for ref, _ in detached)
     whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
     return ModelFile(
@@ -211,30 +211,30 @@ def _strip_weights(path: Path, view: mmap.mmap) -> StrippedModel:
         try:
             return strip_payloads(data)
         except WireFault as fault:
-            raise _not_onnx(path, f"is damaged or cut off at {fault}") from fault
+            raise _not_onnx_error(path, f"is damaged or cut off at {fault}") from fault
 
 
 def _parse(path: Path, data: bytes) -> ModelProto:
     try:
         proto = ModelProto.FromString(data)
     except (DecodeError, RecursionError) as error:
-        raise _not_onnx(path, f"does not parse as ONNX ({error})") from error
+        raise _not_onnx_error(path, f"does not parse as ONNX ({error})") from error
     if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
-        raise _not_onnx(path, "holds no ONNX graph")
+        raise _not_onnx_error(path, "holds no ONNX graph")
     return proto
 
 
 def _check_texts(path: Path, proto: ModelProto, parts: list[Body]) -> None:
     for text in _texts(proto, parts):
         if isinstance(text, bytes):  # protobuf returns bytes that are not valid UTF-8
-            raise _not_onnx(path, f"has a name that is not valid UTF-8 ({text[:32]!r})")
+            raise _not_onnx_error(path, f"has a name that is not valid UTF-8 ({text[:32]!r})")
 
 
 def _has_sparse(body: Body) -> bool:
     return isinstance(body, GraphProto) and bool(body.sparse_initializer)
 
 
-def _not_onnx(path: Path, message: str) -> ModelUnreadable:
+def _not_onnx_error(path: Path, message: str) -> ModelUnreadable:
     from gsgen.contract.file_kinds.recognition import kind_of_file
 
     kind = kind_of_file(path)
@@ -248,7 +248,7 @@ def _not_onnx(path: Path, message: str) -> ModelUnreadable:
     return ModelUnreadable(message, where=str(path), hint=hint)
 
 
-def _detach_external(parts: list[Body]) -> Iterator[tuple[ExternalRef, TensorProto]]:
+def _detach_external_weights(parts: list[Body]) -> Iterator[tuple[ExternalRef, TensorProto]]:
     """Replace the data of external tensors by a stub; yield the place of the data, and the rest."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:

@@ -44,7 +44,7 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
     """Run ONNX shape inference again, now with data propagation (values of shape tensors)."""
-    if _may_be_long(inferred):
+    if _may_have_long_constants(inferred):
         return _propagate_in_subprocess(proto) or inferred, ""
     try:
         return _propagate_data(proto, strict=True), ""
@@ -90,7 +90,7 @@ def _expanded_node_count(proto: ModelProto) -> int:
     return size(proto.graph)
 
 
-def _may_be_long(proto: ModelProto) -> bool:
+def _may_have_long_constants(proto: ModelProto) -> bool:
     """Return whether ONNX's data propagation may take long, because a vector is large."""
     graph = proto.graph
     if proto.functions or any(subgraphs(a) for node in graph.node for a in node.attribute):
@@ -102,10 +102,10 @@ def _may_be_long(proto: ModelProto) -> bool:
         len(initializer.dims) == 1 and initializer.dims[0] > _MAX_MESSAGE_LENGTH
         for initializer in graph.initializer
     )
-    return weights or any(map(_is_long, values)) or not known.issuperset(outputs)
+    return weights or any(map(_is_long_constant, values)) or not known.issuperset(outputs)
 
 
-def _is_long(value: ValueInfoProto) -> bool:
+def _is_long_constant(value: ValueInfoProto) -> bool:
     kind = value.type.tensor_type
     if not kind.HasField("shape"):
         return True

@@ -51,13 +51,13 @@ def _products(a: Interval, b: Interval) -> Interval:
     return min(corners), max(corners)
 
 
-def _quotients(a: Interval, b: Interval) -> Interval:
+def _quotient_interval(a: Interval, b: Interval) -> Interval:
     if b[0] <= 0 <= b[1]:
         return -math.inf, math.inf
     return _products(a, (1 / b[1], 1 / b[0]))
 
 
-def _remainders(_: Interval, b: Interval) -> Interval:
+def _remainder_interval(_: Interval, b: Interval) -> Interval:
     """Return the range of the remainders of an integer division, whichever sign they take."""
     max_magnitude = max(abs(b[0]), abs(b[1]))
     return -max_magnitude, max_magnitude
@@ -67,10 +67,10 @@ _BINARY_INTERVALS: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "Sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
     "Mul": _products,
-    "Div": _quotients,
+    "Div": _quotient_interval,
     "Min": lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     "Max": lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
-    "Mod": _remainders,
+    "Mod": _remainder_interval,
 }
 _UNARY_INTERVALS: dict[str, Callable[[Interval], Interval]] = {
     "Neg": lambda a: (-a[1], -a[0]),
@@ -97,7 +97,7 @@ def intervals(
         weights: Its weights; those whose payload was not read count as unknown.
         manifest: Declares the range of each input.
     """
-    known = {w.name: span for w in weights if (span := _of_weight(w)) is not None}
+    known = {w.name: span for w in weights if (span := _interval_of_weight(w)) is not None}
     for entry in manifest.inputs if manifest else ():
         if entry.range is not None:
             known[entry.name] = entry.range
@@ -143,7 +143,7 @@ def _sum_interval(span: Interval, operand: Tensor | None, output: Tensor | None)
     return span[0] * count, span[1] * count
 
 
-def _of_weight(weight: TensorProto) -> Interval | None:
+def _interval_of_weight(weight: TensorProto) -> Interval | None:
     array = small_array(weight)
     if array is None:
         return None

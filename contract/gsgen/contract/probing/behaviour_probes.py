@@ -182,7 +182,7 @@ def _edge_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
         yield _changed_probe(base, f"with zero {role}", **zeros)
     for end, words in ((0, "at the lowest"), (1, "at the highest")):
         ends = {
-            entry.name: _filled_array(base.inputs[entry.name], span[end])
+            entry.name: _array_filled_with(base.inputs[entry.name], span[end])
             for entry in manifest.inputs
             if (span := _input_range(entry, base.inputs[entry.name])) is not None
         }
@@ -207,7 +207,7 @@ def _outside_range_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[
     ]
     for sign, end, words in ((-1, 0, "just below"), (1, 1, "just above")):
         inputs = {
-            entry.name: _filled_array(
+            entry.name: _array_filled_with(
                 base.inputs[entry.name],
                 span[end] + sign * _BEYOND_RANGE_FRACTION * (span[1] - span[0]),
             )
@@ -217,7 +217,7 @@ def _outside_range_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[
             yield _changed_probe(base, f"{words} the declared ranges", **inputs)
 
 
-def _filled_array(template: Array, value: float) -> Array:
+def _array_filled_with(template: Array, value: float) -> Array:
     if template.dtype.kind == "f":
         limits = np.finfo(template.dtype)
         value = min(max(value, float(limits.min)), float(limits.max))
@@ -230,7 +230,7 @@ def _probe_at_fraction(entry: Input, base: Probe, range_fraction: float) -> Prob
     value = low * (1 - range_fraction) + high * range_fraction
     template = base.inputs[entry.name]
     return _changed_probe(
-        base, f"at time={value:.6g}", **{entry.name: _filled_array(template, value)}
+        base, f"at time={value:.6g}", **{entry.name: _array_filled_with(template, value)}
     )
 
 
@@ -281,6 +281,6 @@ def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
     )
     numbers = {k for start in window_starts[:count] for k in range(start, start + length)}
     for number in sorted(numbers & set(range(low, min(high, low + entry.frames - 1) + 1))):
-        frame = _filled_array(base.inputs[entry.name], number)
+        frame = _array_filled_with(base.inputs[entry.name], number)
         probe = _changed_probe(base, f"at frame {number}", **{entry.name: frame})
         yield replace(probe, label=f"frame {number}", survey=True)

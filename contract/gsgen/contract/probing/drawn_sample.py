@@ -136,7 +136,7 @@ def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
     if len(drawn) < MIN_DRAWN_ROWS:
         return None
     even_indices = drawn[:: -(-len(drawn) // _MAX_EVEN_ROWS)]
-    patches = _patches(packed_rows[:, POSITION][drawn].astype(np.float32))
+    patches = _position_patches(packed_rows[:, POSITION][drawn].astype(np.float32))
     member_indices, inner, neighbours, start = [], [], [], 0
     for patch, measured_count in patches:
         position = packed_rows[:, POSITION][drawn[patch]].astype(np.float64)
@@ -173,7 +173,9 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
     return None if color is None else color[rows].astype(np.float64)
 
 
-def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
+def _position_patches(
+    position: Float[np.ndarray, "n 3"],
+) -> list[tuple[Int[np.ndarray, " p"], int]]:
     """Return clusters of close Gaussians: row indices, and for how many to find neighbours."""
     total = len(position)
     if total <= _MAX_WHOLE_ROWS:

@@ -92,7 +92,7 @@ def suspect_order(
     rows = _without_empty_rows(rows)
     if len(rows) < _MIN_ROWS:
         return None
-    declared = _invalid_share(_misfit_mask(rows, bounds, rounding_error))
+    declared = _invalid_share(_convention_misfit_mask(rows, bounds, rounding_error))
     if declared <= _MAX_INVALID_ROW_SHARE or _is_opacity_alone(rows, rounding_error):
         return None
     if bounds is not None and _invalid_share(_outside_mask(rows, bounds)) <= _MAX_INVALID_SHARE:
@@ -109,15 +109,15 @@ def _candidate_layouts(
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
     """Yield alternative column layouts, likeliest first, each with the mask of invalid rows."""
     for name, columns in _PERMUTATIONS.items():
-        yield name, _misfit_mask(rows[:, columns], bounds)
+        yield name, _convention_misfit_mask(rows[:, columns], bounds)
     yield from _quaternion_layouts(rows).items()
     if planes is not None and len(_without_empty_rows(planes)):
         name = "ten planes, which reshape left as they were in place of a transpose"
-        yield name, _misfit_mask(_without_empty_rows(planes), bounds)
+        yield name, _convention_misfit_mask(_without_empty_rows(planes), bounds)
     if (rows[:, 7] < 0).any():  # where a variance stands, and a factor has either sign
         name = "a Cholesky factor in place of the covariance"
         has_negative = (rows[:, [4, 6, 9]] < 0).any(axis=1)
-        yield name, _misfit_mask(_squared_factor(rows), bounds) | has_negative
+        yield name, _convention_misfit_mask(_squared_factor(rows), bounds) | has_negative
 
 
 def _without_empty_rows(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "m 10"]:
@@ -130,7 +130,7 @@ def _invalid_share(is_invalid: Bool[np.ndarray, " n"]) -> float:
     return float(np.count_nonzero(is_invalid) / len(is_invalid))
 
 
-def _misfit_mask(
+def _convention_misfit_mask(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, rounding_error: float = 0.0
 ) -> Bool[np.ndarray, " n"]:
     """Return the mask of packed rows that cannot be Gaussians, by opacity, covariance or centre.
@@ -160,7 +160,10 @@ def _is_opacity_alone(rows: Float[np.ndarray, "n 10"], rounding_error: float) ->
         return False
     opaque_rows = rows.copy()
     opaque_rows[:, 3] = 1
-    return _invalid_share(_misfit_mask(opaque_rows, None, rounding_error)) <= _MAX_INVALID_SHARE
+    return (
+        _invalid_share(_convention_misfit_mask(opaque_rows, None, rounding_error))
+        <= _MAX_INVALID_SHARE
+    )
 
 
 def _outside_mask(rows: Float[np.ndarray, "n 10"], bounds: Box) -> Bool[np.ndarray, " n"]:

@@ -106,7 +106,7 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
     return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE_DTYPES]
 
 
-def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
+def _shape_for_probes(entry: Input, tensor: Tensor) -> tuple[int, ...]:
     """Return the shape to feed for an input; the manifest fills symbolic dimensions."""
     dims = tensor.dims if tensor.dims is not None else entry.shape or ()
     declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
@@ -120,7 +120,7 @@ def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
     """Return the shape to feed for each input by name, with symbolic dimensions resolved."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
-    return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
+    return {i.name: _shape_for_probes(i, tensors[i.name]) for i in entries if i.name in tensors}
 
 
 def probed_dtypes(subject: InspectedModel) -> dict[str, str]:

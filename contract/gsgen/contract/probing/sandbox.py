@@ -180,12 +180,12 @@ def execute(
             start_time = time.monotonic()
             ended = _run_child(folder, limits.seconds, worker)
         except OSError as error:
-            raise _spool_failed(folder, error.strerror or str(error)) from error
+            raise _spool_failed_error(folder, error.strerror or str(error)) from error
         seconds = time.monotonic() - start_time
         yield _collect_results(folder, ended, seconds, limits, is_own=worker == _WORKER)
 
 
-def _spool_failed(folder: Path, reason: str) -> HostProcessFailed:
+def _spool_failed_error(folder: Path, reason: str) -> HostProcessFailed:
     hint = "Make room there, or set TMPDIR to a folder that has some."
     message = f"inputs and outputs of the model cannot be stored: {reason}"
     return HostProcessFailed(message, where=str(folder.parent), hint=hint)
@@ -299,8 +299,8 @@ def _collect_results(
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
     if ended.host_fault:
-        raise _spool_failed(folder, ended.host_fault.strip())
-    fault = _read_fault(events, ended.status, limits, folder / "log", is_own=is_own)
+        raise _spool_failed_error(folder, ended.host_fault.strip())
+    fault = _read_fault_report(events, ended.status, limits, folder / "log", is_own=is_own)
     return Execution(
         runs=runs,
         samples=samples,
@@ -343,7 +343,7 @@ def _map_array(path: Path) -> np.ndarray:
         return np.asarray(np.load(path, allow_pickle=False))
 
 
-def _read_fault(
+def _read_fault_report(
     events: list[dict[str, Any]],
     status: int | None,
     limits: Limits,

@@ -63,7 +63,7 @@ def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessag
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as host_faults:
         os.dup2(2, 1)  # what libraries print goes to the log
         try:
-            return _do_job(folder, run_job)
+            return _run_sandbox_job(folder, run_job)
         except OSError as error:
             if error.errno not in _STORAGE_ERRORS:
                 raise
@@ -71,7 +71,9 @@ def run_worker(folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessag
             return 1
 
 
-def _do_job(folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessage], int]) -> int:
+def _run_sandbox_job(
+    folder: Path, run_job: Callable[[Path, dict[str, Any], EmitMessage], int]
+) -> int:
     job = json.loads((folder / "job.json").read_text("utf-8"))
     readable = map(Path, job["readable"])
     if not job["trusted"]:

@@ -78,7 +78,7 @@ def read_arrays(path: Path, names: Iterable[str] | None = None) -> dict[str, np.
     """
     arrays = read_array_file(path, names)
     if "" in arrays:
-        _refuse(path, "the file holds one array, expected an .npz archive")
+        _raise_unreadable_array(path, "the file holds one array, expected an .npz archive")
     return arrays
 
 
@@ -170,12 +170,12 @@ class _JoinedArray:
     """A stream whose first bytes were read already."""
 
     def __init__(self, start: BytesIO, rest: IO[bytes]) -> None:
-        self._start, self._rest = start, rest
+        self._start, self._remaining_file = start, rest
 
     def read(self, count: int = -1, /) -> bytes:
         """Read up to ``count`` bytes."""
         data = self._start.read(count)
-        return data if len(data) == count else data + self._rest.read(count - len(data))
+        return data if len(data) == count else data + self._remaining_file.read(count - len(data))
 
 
 @contextmanager
@@ -184,16 +184,16 @@ def _array_faults(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        _refuse(path, error.strerror or str(error), error)
+        _raise_unreadable_array(path, error.strerror or str(error), error)
     except MemoryError as error:
-        _refuse(path, "the arrays take more memory than is available", error)
+        _raise_unreadable_array(path, "the arrays take more memory than is available", error)
     # The libraries document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
-        _refuse(path, str(error) or type(error).__name__, error)
+        _raise_unreadable_array(path, str(error) or type(error).__name__, error)
 
 
-def _refuse(path: Path, reason: str, cause: Exception | None = None) -> NoReturn:
+def _raise_unreadable_array(path: Path, reason: str, cause: Exception | None = None) -> NoReturn:
     raise ArraysUnreadable(f"cannot be read: {first_line(reason)}", where=str(path)) from cause
 
 

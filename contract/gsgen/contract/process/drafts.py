@@ -21,7 +21,7 @@ _NAME_PATTERN: Final = re.compile(r"\.?gsgen-[0-9a-f]{16}\.part")
 
 # The folders of this process → descriptor that holds the lock; None without locks.
 _own_drafts: dict[Path, int | None] = {}
-_swept_folders: set[Path] = set()
+_cleaned_draft_folders: set[Path] = set()
 
 
 @contextmanager
@@ -39,10 +39,10 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """
     prefix = "gsgen-" if parent is None else ".gsgen-"
     holder = Path(tempfile.gettempdir()) if parent is None else parent.absolute()
-    if holder not in _swept_folders:
-        _swept_folders.add(holder)
+    if holder not in _cleaned_draft_folders:
+        _cleaned_draft_folders.add(holder)
         sweep_drafts(holder)
-    draft = _make_locked(holder, prefix)
+    draft = _make_locked_draft(holder, prefix)
     try:
         yield draft
     finally:
@@ -59,7 +59,7 @@ def sweep_drafts(folder: Path) -> int:
     with suppress(OSError), os.scandir(folder) as entries:
         stale_names = [entry.name for entry in entries if _NAME_PATTERN.fullmatch(entry.name)]
         for name in stale_names:
-            removed += _remove_without_owner(folder / name)
+            removed += _remove_ownerless_draft(folder / name)
     return removed
 
 
@@ -69,7 +69,7 @@ def remove_own_drafts() -> None:
         _remove(draft)
 
 
-def _make_locked(holder: Path, prefix: str) -> Path:
+def _make_locked_draft(holder: Path, prefix: str) -> Path:
     while True:
         draft = holder / f"{prefix}{secrets.token_hex(8)}.part"
         draft.mkdir(mode=0o700)
@@ -88,7 +88,7 @@ def _remove(draft: Path) -> None:
         os.close(descriptor)
 
 
-def _remove_without_owner(draft: Path) -> bool:
+def _remove_ownerless_draft(draft: Path) -> bool:
     try:
         descriptor = _lock(draft)
     except OSError:  # the owner lives, or another process removes it

@@ -74,7 +74,7 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptH
     )
     previous_fd = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
     watch_thread.start()
-    raise_terminated = _once_raising()
+    raise_terminated = _raise_once_handler()
     handled = [number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
     for number in handled:
         signal.signal(number, raise_terminated)
@@ -90,7 +90,7 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptH
         os.close(read_end)
 
 
-def _once_raising() -> Callable[[int, FrameType | None], None]:
+def _raise_once_handler() -> Callable[[int, FrameType | None], None]:
     """Return a signal handler that raises Terminated at the first signal, and ignores others.
 
     A second signal would interrupt the removal of unfinished files.

@@ -75,7 +75,7 @@ def restrict_files(
             (devices, device_rights & handled),
         ):
             for path in paths:
-                _allow(ruleset, path, rights)
+                _allow_path(ruleset, path, rights)
         forbid_new_privileges()
         _call(_RESTRICT_SELF_SYSCALL, ruleset, 0)
     finally:
@@ -88,7 +88,7 @@ def forbid_new_privileges() -> None:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
-def _allow(ruleset: int, path: Path, rights: int) -> None:
+def _allow_path(ruleset: int, path: Path, rights: int) -> None:
     """Add a rule for a path; do nothing if there is no such file."""
     try:
         descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)

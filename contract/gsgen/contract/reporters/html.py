@@ -71,7 +71,7 @@ def _report_section(entry: Entry, number: int) -> str:
     parts = [
         head,
         f"<p>{for_html(verdict_line(entry))}</p>",
-        _facts(entry),
+        _facts_html(entry),
         _picture(entry.picture),
         *(_unchecked_html(outcome) for outcome in entry.unchecked),
         *(_finding_html(finding, entry) for finding in counted),
@@ -83,7 +83,7 @@ def _report_section(entry: Entry, number: int) -> str:
     return "\n".join([*parts, _rules_table(entry), "</section>"])
 
 
-def _facts(report: Report) -> str:
+def _facts_html(report: Report) -> str:
     size = format_bytes(report.size)
     if report.external_size:
         size += f" and {format_bytes(report.external_size)} external data"

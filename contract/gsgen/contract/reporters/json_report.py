@@ -72,7 +72,7 @@ def document_of(report: Report) -> Document:
     return Document(
         schema="gsgen-report/1",
         tool=Tool("gsgen", version("gsgen"), rules_digest(rules.values())),
-        subject=_subject(report),
+        subject=_subject_entry(report),
         target=report.target.label,
         level=report.level.word,
         fail_on=_severity_name(report.fail_on),
@@ -118,7 +118,7 @@ def _unreadable_document(entry: Unreadable) -> UnreadableDocument:
     return UnreadableDocument("gsgen-report/1", subject, "unreadable", fault)
 
 
-def _subject(report: Report) -> SubjectEntry:
+def _subject_entry(report: Report) -> SubjectEntry:
     return SubjectEntry(
         uri=report.path,
         bytes=report.size,

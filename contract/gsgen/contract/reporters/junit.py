@@ -21,7 +21,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
     for entry in entries:
         suite = SubElement(root, "testsuite", name=printable(entry.path))
         if isinstance(entry, Unreadable):
-            _unreadable(suite, entry)
+            _add_unreadable_case(suite, entry)
         else:
             _fill_suite(suite, entry)
     for parent in (*root, root):
@@ -39,7 +39,7 @@ def _count(parent: Element) -> None:
         parent.set(name, str(len(list(parent.iter(tag)))))
 
 
-def _unreadable(suite: Element, entry: Unreadable) -> None:
+def _add_unreadable_case(suite: Element, entry: Unreadable) -> None:
     case = SubElement(suite, "testcase", classname=printable(entry.path), name="readable")
     error = SubElement(case, "error", message=printable(entry.error.message))
     error.set("type", type(entry.error).__name__)

@@ -168,7 +168,7 @@ def _result_entry(report: Report, finding: Finding, rule: int, number: int) -> J
     }
     if report.baseline:
         result["baselineState"] = "unchanged" if finding.known else "new"
-    return result | {"suppressions": _suppressions(finding)}
+    return result | {"suppressions": _sarif_suppressions(finding)}
 
 
 def _logical_location(finding: Finding) -> Json:
@@ -180,7 +180,7 @@ def _logical_location(finding: Finding) -> Json:
     }
 
 
-def _suppressions(finding: Finding) -> list[Json]:
+def _sarif_suppressions(finding: Finding) -> list[Json]:
     if not finding.waived:
         return []
     reason = finding.waiver or f"{finding.rule} is ignored by the settings"

@@ -28,7 +28,7 @@ def verdict_line(report: Report) -> str:
             parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
     if report.unchecked:
         parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
-    parts += _uncounted_texts(report)
+    parts += _uncounted_rule_texts(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:
             parts.append(f"{counted[status]} {words}")
@@ -40,7 +40,7 @@ def verdict_word(report: Report) -> str:
     return _RULE_CRASHED_TEXT if report.verdict == "internal-error" else report.verdict
 
 
-def _uncounted_texts(report: Report) -> list[str]:
+def _uncounted_rule_texts(report: Report) -> list[str]:
     ignored_rules = {
         finding.rule for finding in report.findings if finding.waived and not finding.waiver
     }

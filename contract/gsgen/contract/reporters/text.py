@@ -80,7 +80,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     if verbose:
         lines += _details(report)
     if verbose or report.timed:
-        lines += _cost_lines(report)
+        lines += _probe_cost_lines(report)
     if report.timed:
         inner = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
         lines.append(Line(f"  took {report.seconds:.2f} s, of which {inner}"))
@@ -237,7 +237,7 @@ def _resolved_lines(report: Report) -> list[Line]:
     return lines
 
 
-def _cost_lines(report: Report) -> list[Line]:
+def _probe_cost_lines(report: Report) -> list[Line]:
     """Return lines with the number of model runs of each validation level, and their time."""
     lines = [Line("  levels:")]
     for level in report.levels:

@@ -40,10 +40,10 @@ class SchemaFault:
 
 def schema_faults(document: object, schema: Schema) -> Iterator[SchemaFault]:
     """Yield each keyword of a JSON Schema that a part of a document breaks, or that is unknown."""
-    yield from _faults(document, schema, (), schema.get("$defs", {}))
+    yield from _schema_faults(document, schema, (), schema.get("$defs", {}))
 
 
-def _faults(
+def _schema_faults(
     value: Any, schema: Any, path: tuple[str | int, ...], definitions: dict[str, Schema]
 ) -> Iterator[SchemaFault]:
     if isinstance(schema, bool):
@@ -52,26 +52,26 @@ def _faults(
         if word in _ANNOTATION_KEYWORDS:
             continue
         if word == "$ref":
-            yield from _faults(value, definitions[entry.split("/")[-1]], path, definitions)
+            yield from _schema_faults(value, definitions[entry.split("/")[-1]], path, definitions)
         elif word == "items":
             for number, item in enumerate(value if isinstance(value, list) else ()):
-                yield from _faults(item, entry, (*path, number), definitions)
+                yield from _schema_faults(item, entry, (*path, number), definitions)
         elif word == "required":
             for name in entry if isinstance(value, dict) else ():
                 if name not in value:
-                    yield _fault(word, value, schema, path, message=repr(name))
+                    yield _schema_fault(word, value, schema, path, message=repr(name))
         elif word in ("properties", "patternProperties", "additionalProperties"):
             if isinstance(value, dict):
                 yield from _member_faults(word, value, schema, path, definitions)
         elif word == "anyOf":
-            options = [list(_faults(value, option, path, definitions)) for option in entry]
+            options = [list(_schema_faults(value, option, path, definitions)) for option in entry]
             if all(options):
-                yield _fault(word, value, schema, path)
+                yield _schema_fault(word, value, schema, path)
         elif not _is_constraint_met(word, entry, value):
-            yield _fault(word, value, schema, path)
+            yield _schema_fault(word, value, schema, path)
 
 
-def _fault(
+def _schema_fault(
     word: str, value: object, schema: Schema, path: tuple[str | int, ...], *, message: str = ""
 ) -> SchemaFault:
     return SchemaFault(
@@ -100,11 +100,11 @@ def _member_faults(
             rules = [properties[name]]
         elif word == "additionalProperties" and name not in properties and not matching_rules:
             if schema[word] is False:
-                yield _fault(word, value, schema, path)
+                yield _schema_fault(word, value, schema, path)
                 return  # one fault for all names
             rules = [schema[word]]
         for rule in rules:
-            yield from _faults(part, rule, (*path, name), definitions)
+            yield from _schema_faults(part, rule, (*path, name), definitions)
 
 
 def _is_constraint_met(word: str, bound: Any, value: Any) -> bool:

@@ -115,7 +115,7 @@ def record_vectors(
     if not force:
         refuse_existing(existing, folder, "folder")
     progress(f"reading {source.name}")
-    subject = _subject(source, settings)
+    subject = _model_without_vectors(source, settings)
     probes = _selected_probes(make_plan(subject, Level.VALUES, seed).probes, count)
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
     with _staging_folder(folder) as stage:
@@ -153,7 +153,7 @@ def _remove_path(path: Path) -> None:
         shutil.rmtree(path)
 
 
-def _subject(source: Path, settings: Settings) -> InspectedModel:
+def _model_without_vectors(source: Path, settings: Settings) -> InspectedModel:
     subject = inspect_recordable(source, settings)
     # Without a manifest, every output that NumPy can hold is fetched.
     fetched_names = fetched_outputs(replace(subject, parsed=None, candidate=None))

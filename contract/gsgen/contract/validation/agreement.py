@@ -148,7 +148,7 @@ def _color_errors(
         error = largest_sum(weights, signed_difference(a, b).reshape(shape))
         magnitude = largest_sum(np.abs(weights), np.abs(a).reshape(shape))
     else:
-        error, magnitude = _distance(a[:, :3], b[:, :3]), _largest(a[:, :3])
+        error, magnitude = _distance(a[:, :3], b[:, :3]), _largest_per_row(a[:, :3])
     rounding = _clamp_to_finite(allowance.relative(colors[1].dtype) * magnitude)
     return np.where(drawn, error, 0.0), allowance.tolerances.appearance + rounding
 
@@ -166,7 +166,7 @@ def _ellipsoid_errors(
     covariance = _divide_distances(_distance(a[:, COVARIANCE], b[:, COVARIANCE]), trace)
     opacity = _distance(a[:, OPACITY : OPACITY + 1], b[:, OPACITY : OPACITY + 1])
     # Statement 8: rounding in proportion to the number, and in steps near zero.
-    extent = _largest(a[:, POSITION])
+    extent = _largest_per_row(a[:, POSITION])
     return {
         "position": (
             np.where(drawn, position, 0.0),
@@ -252,17 +252,17 @@ def comparable_parts(
     first: ModelOutputs, second: ModelOutputs
 ) -> tuple[ArrayPair | None, ArrayPair | None, ArrayPair | None]:
     """Return the packed rows, colours and cells of two runs that can be compared field by field."""
-    rows = _both_or_none(first.gaussians, second.gaussians)
+    rows = _require_both_or_none(first.gaussians, second.gaussians)
     if rows is None:
         return None, None, None
-    colors = _both_or_none(first.appearance, second.appearance)
+    colors = _require_both_or_none(first.appearance, second.appearance)
     channels = APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
     if colors is not None and colors[0].shape[1] not in channels:
         colors = None
-    return rows, colors, _both_or_none(first.cells, second.cells)
+    return rows, colors, _require_both_or_none(first.cells, second.cells)
 
 
-def _both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> ArrayPair | None:
+def _require_both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> ArrayPair | None:
     if first is None or second is None or first.shape != second.shape:
         return None
     return first, second
@@ -283,10 +283,10 @@ def _is_drawn(opacity: np.ndarray) -> np.ndarray:
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return _largest(signed_difference(a, b))
+    return _largest_per_row(signed_difference(a, b))
 
 
-def _largest(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+def _largest_per_row(table: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
     """Return the largest absolute value of each row; ``max(axis=1)`` takes four times as long."""
     return np.asarray(reduce(np.maximum, np.abs(table).T))
 

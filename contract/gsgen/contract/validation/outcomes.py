@@ -47,7 +47,7 @@ class ResultCollector:
         """Return whether ``rule`` can be checked now; if not, record why as the rule's outcome."""
         if rule.id in self.outcomes:
             return False
-        reason = self._inapplicable(rule)
+        reason = self._inapplicable_reason(rule)
         if reason:
             self.outcomes[rule.id] = Outcome(rule=rule, status="not-applicable", reason=reason)
             return False
@@ -61,7 +61,7 @@ class ResultCollector:
                 return False
         return True
 
-    def _inapplicable(self, rule: Rule) -> str:
+    def _inapplicable_reason(self, rule: Rule) -> str:
         target = self.settings.target
         if rule.target and rule.target != target.name:
             return f"only for target {rule.target}"
@@ -164,14 +164,14 @@ class ResultCollector:
     def withdraw_consequences(self) -> None:
         """Withdraw findings that another rule's failure, at a later level, already explains."""
         for rule in self.registry.rules.values():
-            causes = [id for id in rule.explained_by if self._explains_finding(id)]
+            causes = [id for id in rule.explained_by if self._does_explain_finding(id)]
             if causes and rule.id in self._counters_by_rule:
                 del self._counters_by_rule[rule.id]
                 reason = f"because {causes[0]} explains what it found"
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome
 
-    def _explains_finding(self, id: str) -> bool:
+    def _does_explain_finding(self, id: str) -> bool:
         outcome = self.outcomes.get(id)
         return outcome is not None and outcome.status == "fail"
 

@@ -161,7 +161,7 @@ def rule(
                 f"the rule is named {id} {check.__name__}, expected an id like GV003 and a name "
                 "like opacity_range"
             )
-        scope = over or _scope_of(id, check)
+        scope = over or _scope_of_check(id, check)
         statement, rationale, hint, evidence = _doc_sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
@@ -185,7 +185,7 @@ def rule(
     return declare
 
 
-def _scope_of(id: str, check: Check) -> Scope:
+def _scope_of_check(id: str, check: Check) -> Scope:
     """Return the scope that the type of a check's argument says."""
     argument = next(iter(inspect.signature(check).parameters.values()))
     if argument.annotation not in _SCOPE_OF_TYPE:
@@ -299,7 +299,9 @@ def _nearest_id(stem: str, number: int, ids: list[str]) -> str:
         return f"The rules of {owner.lower()!r} do not load; `gsgen validate` tells why."
     family_ids = [rule_id for rule_id in ids if rule_id[:-3] == family]
     likely_ids = [rule_id for rule_id in ids if rule_id == code or rule_id.endswith(f"/{code}")]
-    likely_ids = likely_ids or [rule_id for rule_id in family_ids if _is_mistyped(rule_id, code)]
+    likely_ids = likely_ids or [
+        rule_id for rule_id in family_ids if _is_mistyped_rule_id(rule_id, code)
+    ]
     if 0 < len(likely_ids) <= _MAX_SUGGESTIONS:
         return f"Did you mean {' or '.join(map(repr, likely_ids))}?"
     if family_ids:
@@ -310,7 +312,7 @@ def _nearest_id(stem: str, number: int, ids: list[str]) -> str:
     return f"Ids begin with {families}; `gsgen rules` lists them."
 
 
-def _is_mistyped(id: str, typed_id: str) -> bool:
+def _is_mistyped_rule_id(id: str, typed_id: str) -> bool:
     """Return whether two rule ids differ in one character, or in the order of two."""
     mismatch_count = sum(a != b for a, b in zip(id, typed_id, strict=False))
     return len(id) == len(typed_id) and (mismatch_count == 1 or sorted(id) == sorted(typed_id))

@@ -214,7 +214,9 @@ def read_nets(
     )
     heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _OUTPUT_CHANNELS}
     bank = (
-        _bank(states, iteration_folder, sizes) if _has_bank(states, iteration_folder, cfg) else None
+        _read_feature_bank(states, iteration_folder, sizes)
+        if _has_feature_bank(states, iteration_folder, cfg)
+        else None
     )
     return AnchorNets(
         opacity=heads["opacity_mlp"],
@@ -283,7 +285,7 @@ def _head(
     )
 
 
-def _has_bank(states: NetworkStates, iteration_folder: Path, cfg: CfgArgs) -> bool:
+def _has_feature_bank(states: NetworkStates, iteration_folder: Path, cfg: CfgArgs) -> bool:
     has_bank = cfg.flag("use_feat_bank", default="bank" in states)
     if has_bank and "bank" not in states:
         message = "is missing: use_feat_bank is True"
@@ -291,7 +293,7 @@ def _has_bank(states: NetworkStates, iteration_folder: Path, cfg: CfgArgs) -> bo
     return has_bank
 
 
-def _bank(states: NetworkStates, iteration_folder: Path, sizes: _Sizes) -> Mlp:
+def _read_feature_bank(states: NetworkStates, iteration_folder: Path, sizes: _Sizes) -> Mlp:
     """Read the feature bank: a network that weights three resolutions of an anchor's features.
 
     Inputs are direction and distance; of Octree-GS, direction and, if trained with it, level.

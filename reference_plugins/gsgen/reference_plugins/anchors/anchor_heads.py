@@ -127,7 +127,7 @@ class AnchorHeads(nn.Module):
         if rows is not None:
             feature = torch.index_select(feature, 0, rows)
             levels = [torch.index_select(level, 0, rows) for level in levels]
-        parts = [self._mix_banks(feature, levels, views), views.direction]
+        parts = [self._mix_feature_banks(feature, levels, views), views.direction]
         parts += [views.distance] if self.distance else []
         inputs = torch.cat([*parts, *levels], dim=1)
         appearance_bias = self.appearance_bias
@@ -138,7 +138,9 @@ class AnchorHeads(nn.Module):
         (color,) = self.color(inputs, appearance_bias)
         return DecodedAnchors(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
-    def _mix_banks(self, feature: Tensor, levels: list[Tensor], views: AnchorViews) -> Tensor:
+    def _mix_feature_banks(
+        self, feature: Tensor, levels: list[Tensor], views: AnchorViews
+    ) -> Tensor:
         """Mix three resolutions of a feature vector: every fourth number, every second, all.
 
         The coarse ones are repeated (a b a b), not stretched (a a b b).

@@ -84,7 +84,10 @@ class Prefilter(nn.Module):
         zero = torch.zeros_like(depth)
         x_axis = torch.cat([pixels[:, 0:1], zero, -pixels[:, 0:1] * clamped_slope[:, 0:1]], dim=1)
         y_axis = torch.cat([zero, pixels[:, 1:2], -pixels[:, 1:2] * clamped_slope[:, 1:2]], dim=1)
-        u, v = self._extent_along(x_axis, turn), self._extent_along(y_axis, turn)
+        u, v = (
+            self._extent_along_direction(x_axis, turn),
+            self._extent_along_direction(y_axis, turn),
+        )
         a = (u * u).sum(dim=1, keepdim=True) + DEFAULT_DILATION
         b = (u * v).sum(dim=1, keepdim=True)
         c = (v * v).sum(dim=1, keepdim=True) + DEFAULT_DILATION
@@ -94,7 +97,7 @@ class Prefilter(nn.Module):
         )
         return torch.ceil(3 * torch.sqrt(mean_eigenvalue + torch.sqrt(eigenvalue_spread)))
 
-    def _extent_along(self, direction: Tensor, turn: Tensor) -> Tensor:
+    def _extent_along_direction(self, direction: Tensor, turn: Tensor) -> Tensor:
         """Return the component of each ellipsoid axis along a direction in camera space."""
         local_direction = direction @ turn.transpose(0, 1)
         (root,) = self.axes()

@@ -122,7 +122,11 @@ def read_body(path: Path, joints: int) -> Body:
         if _FACES_KEY in read
         else np.zeros((0, 3))
     )
-    if faces.ndim != 2 or faces.shape[1] != 3 or not _is_within(faces, len(arrays["v_template"])):
+    if (
+        faces.ndim != 2
+        or faces.shape[1] != 3
+        or not _are_indices_within(faces, len(arrays["v_template"]))
+    ):
         message = (
             f"{_FACES_KEY} is {list(faces.shape)}, expected triangles of the vertices, [faces, 3]"
         )
@@ -140,7 +144,7 @@ def read_body(path: Path, joints: int) -> Body:
     )
 
 
-def _is_within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
+def _are_indices_within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
     return bool(((indices >= 0) & (indices < count)).all())
 
 

@@ -46,7 +46,7 @@ def read_pose_nets(
 ) -> PoseNets:
     """Extract GauHuman's two correction networks from their state dicts, and check all shapes."""
     rotation_count = 3 * (joints - 1)
-    width = _width(pose.get("block_mlps.0.weight"))
+    width = _weight_width(pose.get("block_mlps.0.weight"))
     sizes = [(rotation_count, width), (width, width), (width, rotation_count)]
     names = [f"block_mlps.{2 * index}" for index in range(3)]
     expected: dict[str, Shape] = {}
@@ -54,7 +54,7 @@ def read_pose_nets(
         expected |= linear_shapes(name, inputs, outputs)
     read = require_tensors(path, pose, expected)
     first_layers = tuple(layer_of(read, name) for name in names)
-    width = _width(weights.get("bw_linears.0.weight"))
+    width = _weight_width(weights.get("bw_linears.0.weight"))
     inputs_of = [_EMBEDDED_SIZE, width, width, width and _EMBEDDED_SIZE + width]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]
     expected = {}
@@ -66,7 +66,7 @@ def read_pose_nets(
     return PoseNets(first_layers, second_layers)
 
 
-def _width(weight: Any) -> int | None:
+def _weight_width(weight: Any) -> int | None:
     return weight.shape[0] if isinstance(weight, Tensor) and weight.ndim else None
 
 

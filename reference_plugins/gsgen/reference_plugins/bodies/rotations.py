@@ -32,7 +32,7 @@ def rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"
     """
     squared_length = (vector * vector).sum(dim=2, keepdim=True)
     angle = torch.sqrt(squared_length.clamp(min=SMALL_ANGLE))[:, :, :, None]
-    cross_matrices = _cross(vector)
+    cross_matrices = _cross_product_matrices(vector)
     half_sine = torch.sin(0.5 * angle) / angle
     full_rotation = torch.sin(angle) / angle * cross_matrices + (2 * half_sine * half_sine) * (
         cross_matrices @ cross_matrices
@@ -51,10 +51,12 @@ def gauhuman_rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, 
     axis = vector / angle
     cosine, sine = torch.cos(angle)[:, :, :, None], torch.sin(angle)[:, :, :, None]
     outer_products = axis[:, :, :, None] * axis[:, :, None, :]
-    return cosine * torch.eye(3) + (1 - cosine) * outer_products + sine * _cross(axis)
+    return (
+        cosine * torch.eye(3) + (1 - cosine) * outer_products + sine * _cross_product_matrices(axis)
+    )
 
 
-def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+def _cross_product_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
     return (vector @ torch.tensor(_CROSS_MATRICES)).reshape(*vector.shape[:2], 3, 3)
 
 

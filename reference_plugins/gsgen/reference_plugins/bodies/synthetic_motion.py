@@ -25,14 +25,16 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     for side, sign in enumerate((1.0, -1.0)):
         step = sign * np.sin(along)
         lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
-        _turn(
+        _turn_joint(
             poses,
             _HIP_JOINTS[side],
             np.stack([-_STRIDE_ANGLE * step - 0.3 * lift, 0 * step, 0 * step]),
         )
-        _turn(poses, _KNEE_JOINTS[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step]))
-        _turn(poses, _SHOULDER_JOINTS[side], _arm(_SWING_ANGLE * step, sign))
-        _turn(
+        _turn_joint(
+            poses, _KNEE_JOINTS[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step])
+        )
+        _turn_joint(poses, _SHOULDER_JOINTS[side], _swing_arm(_SWING_ANGLE * step, sign))
+        _turn_joint(
             poses,
             _ELBOW_JOINTS[side],
             np.stack([0 * step, 0 * step - sign * _ELBOW_ANGLE, 0 * step]),
@@ -54,11 +56,13 @@ def write_demo_motion(folder: Path) -> list[str]:
     return ["--checkpoint", str(folder), "--motion", str(motion)]
 
 
-def _turn(poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]) -> None:
+def _turn_joint(
+    poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]
+) -> None:
     poses[:, 3 * joint : 3 * joint + 3] += turn.T
 
 
-def _arm(swing_angles: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
+def _swing_arm(swing_angles: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
     """Return the axis-angle of a shoulder for a hanging arm that swings about x."""
     half_swing, half_down = swing_angles / 2, -sign * _ARM_DOWN_ANGLE / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).

@@ -85,7 +85,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     run = open_run("deformable-3dgs", folder, iteration)
     canonical = read_canonical(run.files / "point_cloud.ply")
     path = run.folder / "deform" / f"iteration_{run.iteration}" / "deform.pth"
-    net = _read_net(path, load_state(path, "the deformation network"))
+    net = _read_deformation_network(path, load_state(path, "the deformation network"))
     for option, actual in (("is_blender", net.time is not None), ("is_6dof", net.has_six_degrees)):
         if run.cfg.flag(option, default=actual) != actual:
             message = f"{option} is {not actual}, but the network in {path} has {actual}"
@@ -93,7 +93,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     return DeformationCheckpoint(run, canonical, net)
 
 
-def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
+def _read_deformation_network(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     has_screws = "branch_w.weight" in state
     warp = {"branch_w": 3, "branch_v": 3} if has_screws else {"gaussian_warp": 3}
     return read_layers(path, state, warp)[0]

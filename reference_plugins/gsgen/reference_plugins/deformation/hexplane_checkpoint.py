@@ -137,11 +137,11 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     if "shs" in flags.active and canonical.degree != 3:
         message = f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
         raise CheckpointInvalid(message, where=str(run.files / "point_cloud.ply"))
-    nets = _read_nets(run.files / "deformation.pth", flags)
+    nets = _read_hexplane_networks(run.files / "deformation.pth", flags)
     return HexPlaneCheckpoint(run, flags, canonical, nets)
 
 
-def _read_nets(path: Path, flags: DeformationFlags) -> HexPlaneNets:
+def _read_hexplane_networks(path: Path, flags: DeformationFlags) -> HexPlaneNets:
     state = load_state(path, "the deformation network")
     net = entries_below(state, _NETWORK_PREFIX)
     scales, layers = _counts(path, net)

@@ -23,7 +23,7 @@ from gsgen.reference_plugins.tensors.baked_constants import Bake, Constants
 from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 
 
-def _cell_below(
+def _cell_below_coordinate(
     positions: Float[Tensor, " n"], cells: int
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 1"]]:
     """Split coordinates in [0, 1] into the lower grid index and the interpolation weight."""
@@ -40,7 +40,7 @@ class _CellIndex(nn.Module):
         self.cells = cells
 
     def forward(self, positions: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:
-        cell_below, fraction = _cell_below(positions, self.cells)
+        cell_below, fraction = _cell_below_coordinate(positions, self.cells)
         return cell_below.to(torch.int32), fraction
 
 
@@ -92,8 +92,8 @@ class _SpacePlane(nn.Module):
 
     def forward(self, position: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
         column_axis, row_axis = self.axes
-        column, column_fraction = _cell_below(position[:, column_axis], self.width)
-        row, row_fraction = _cell_below(position[:, row_axis], self.height)
+        column, column_fraction = _cell_below_coordinate(position[:, column_axis], self.width)
+        row, row_fraction = _cell_below_coordinate(position[:, row_axis], self.height)
         corner = row * float(self.width) + column
         # One gather per corner: a gather of all four would be four times the largest tensor.
         parts = []

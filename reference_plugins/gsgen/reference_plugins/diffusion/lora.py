@@ -225,7 +225,7 @@ def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module
     mismatches = [
         f"{name} {mismatch}"
         for name, pair in adapter.pairs.items()
-        if (mismatch := _mismatch(pair, layers_of_unet.get(name)))
+        if (mismatch := _lora_mismatch(pair, layers_of_unet.get(name)))
     ]
     if mismatches or not adapter.pairs:
         raise CheckpointInvalid(
@@ -250,7 +250,7 @@ def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module
     return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
 
 
-def _mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
+def _lora_mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
     """Return the reason why a LoRA change does not fit a layer; empty if it fits."""
     if layer is None:
         return "is not a layer of the networks"

@@ -142,15 +142,15 @@ class GaussianAvatars(GaussianGenerator):
         )
         edge_ab, edge_ac = b - a, c - a
         first_axis = safe_normalize(edge_ab)
-        second_axis = safe_normalize(_cross(first_axis, edge_ac))
-        third_axis = -safe_normalize(_cross(second_axis, first_axis))
+        second_axis = safe_normalize(_cross_product(first_axis, edge_ac))
+        third_axis = -safe_normalize(_cross_product(second_axis, first_axis))
         length = torch.sqrt((edge_ab * edge_ab).sum(dim=1, keepdim=True))
         height = (third_axis * edge_ac).sum(dim=1, keepdim=True).abs()
         columns = torch.stack([first_axis, second_axis, third_axis], dim=2)
         return columns * ((length + height) / 2)[:, :, None], (a + b + c) / 3
 
 
-def _cross(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def _cross_product(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     ax, ay, az = a[:, 0:1], a[:, 1:2], a[:, 2:3]
     bx, by, bz = b[:, 0:1], b[:, 1:2], b[:, 2:3]
     return torch.cat([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], dim=1)

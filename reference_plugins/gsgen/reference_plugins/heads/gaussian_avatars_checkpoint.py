@@ -53,7 +53,7 @@ def read_gaussian_avatars(
 ) -> GaussianAvatarsCheckpoint:
     """Read a GaussianAvatars checkpoint, and FLAME from ``body`` or the run's folder ``assets``."""
     run = open_run("gaussian-avatars", folder, iteration)
-    canonical, binding = _read_bound(run.files / "point_cloud.ply")
+    canonical, binding = _read_bound_gaussians(run.files / "point_cloud.ply")
     path = run.files / "flame_param.npz"
     required_file(path, "the parameters of FLAME")
     names = ("shape", "expr", "static_offset")
@@ -99,7 +99,7 @@ def read_gaussian_avatars(
     )
 
 
-def _read_bound(path: Path) -> tuple[Canonical, Int[np.ndarray, " n"]]:
+def _read_bound_gaussians(path: Path) -> tuple[Canonical, Int[np.ndarray, " n"]]:
     """Read PLY splats bound to mesh triangles; plain PLY readers refuse such files."""
     required_file(path, "the Gaussians")
     with format_faults(path):

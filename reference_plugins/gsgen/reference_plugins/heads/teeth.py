@@ -92,7 +92,7 @@ _STRIP_TABLE = (
 
 def add_teeth(body: Body) -> Body:
     """Return FLAME with the vertices and triangles of teeth."""
-    upper_lip, lower_lip = _lips(body)
+    upper_lip, lower_lip = _lip_vertex_indices(body)
     upper_points, lower_points = body.template[upper_lip], body.template[lower_lip]
     size = float(np.linalg.norm(upper_points - lower_points, axis=1).mean())
     lip_center = (upper_points + lower_points) / 2
@@ -146,7 +146,7 @@ def _strip_faces(
     )
 
 
-def _lips(body: Body) -> tuple[_Index, _Index]:
+def _lip_vertex_indices(body: Body) -> tuple[_Index, _Index]:
     """Return FLAME's lip vertices, from ``FLAME_masks.pkl`` beside the model if it exists."""
     path: Path = body.path.with_name("FLAME_masks.pkl")
     masks = read_array_pickle(path, _MASK_NAMES) if path.is_file() else {}

@@ -223,7 +223,7 @@ def _write_demo(folder: Path) -> list[str]:
     return ["--checkpoint", str(folder), *step, "--size", "240x240"]
 
 
-def _with_noise(picture: "np.ndarray") -> "np.ndarray":
+def _add_image_noise(picture: "np.ndarray") -> "np.ndarray":
     """Add diffusion noise to a uint8 image [H, W, 3], as a demonstration input for a denoiser."""
     import numpy as np
 
@@ -247,7 +247,7 @@ PLUGIN = Plugin(
     demo=Demo(
         write=_write_demo,
         caption="a noisy rendered image, and its denoised version",
-        degrade=_with_noise,
+        degrade=_add_image_noise,
     ),
     build=build,
 )

@@ -91,16 +91,18 @@ class Weights:
     """Access to the weights of a network by name; all weights are set to zero first."""
 
     def __init__(self, network: nn.Module) -> None:
-        self._named = {name: parameter.data for name, parameter in network.named_parameters()}
-        for value in self._named.values():
+        self._parameters_by_name = {
+            name: parameter.data for name, parameter in network.named_parameters()
+        }
+        for value in self._parameters_by_name.values():
             value.zero_()
 
     def __getitem__(self, name: str) -> Tensor:
-        return self._named[name]
+        return self._parameters_by_name[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
         """Apply a change to the weight tensor of a layer."""
-        change(self._named[f"{name}.weight"])
+        change(self._parameters_by_name[f"{name}.weight"])
 
 
 def _centre(weight: Float[Tensor, "o i h w"]) -> None:

@@ -39,7 +39,7 @@ def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
     """
     try:
         with path.open("rb") as file:
-            if path.suffix == ".npy" and not _holds_object(file):
+            if path.suffix == ".npy" and not _contains_python_object(file):
                 raise ValueError("the .npy file holds an array, expected a dict of arrays")
             read = pickled_data(file.read())
         if (
@@ -54,18 +54,18 @@ def read_array_pickle(path: Path, names: Iterable[str]) -> dict[str, _Array]:
             raise ValueError(f"the pickle holds {kind}, expected a dict of arrays")
         return {name: decoder.array(read[name]) for name in names if name in read}
     except (ValueError, TypeError, LookupError, EOFError, AttributeError) as error:
-        raise _unreadable(path, str(error) or type(error).__name__) from error
+        raise _unreadable_pickle_error(path, str(error) or type(error).__name__) from error
     except (MemoryError, OverflowError, RecursionError) as error:
-        raise _unreadable(path, type(error).__name__) from error
+        raise _unreadable_pickle_error(path, type(error).__name__) from error
 
 
-def _holds_object(file: Any) -> bool:
+def _contains_python_object(file: Any) -> bool:
     """Read the header of an ``.npy`` file, and return whether a pickle follows."""
     _, dtype = read_array_header(file)
     return bool(dtype.hasobject)
 
 
-def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
+def _unreadable_pickle_error(path: Path, reason: str) -> CheckpointInvalid:
     hint = "Expected a pickle of arrays; code in files is not run."
     return CheckpointInvalid(f"cannot be read: {reason[:200]}", where=str(path), hint=hint)
 
@@ -124,7 +124,7 @@ class _Decoder:
             raise ValueError("an array in the pickle has a size that is not a whole number")
         big_endian = isinstance(dtype.state, tuple) and dtype.state[1] == ">"
         kind = np.dtype(code).newbyteorder(">" if big_endian else "<")
-        content = _bytes_of(data)
+        content = _bytes_of_pickled_data(data)
         if len(content) != math.prod(shape) * kind.itemsize:
             raise ValueError(
                 f"an array in the pickle is {list(shape)} of {code}, but has {len(content)} bytes"
@@ -167,7 +167,7 @@ class _Decoder:
             )
 
 
-def _bytes_of(data: Any) -> bytes | bytearray:
+def _bytes_of_pickled_data(data: Any) -> bytes | bytearray:
     """Return stored bytes; Python 2 has them as a text, protocol 2 of Python 3 as an encoded one."""
     if isinstance(data, OpaqueObject) and data.name == "_codecs.encode":
         data, _ = data.arguments

@@ -126,12 +126,12 @@ def _folders_below(folder: Path, levels: int = _MAX_FOLDER_DEPTH) -> Iterator[Pa
 def required_file(path: Path, content: str) -> Path:
     """Return the path of a required file; if missing, raise and name iterations that have it."""
     if not path.is_file():
-        hint = _elsewhere_hint(path)
+        hint = _sibling_checkpoint_hint(path)
         raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)
     return path
 
 
-def _elsewhere_hint(path: Path) -> str:
+def _sibling_checkpoint_hint(path: Path) -> str:
     """Return a hint that lists the other iterations of a training run where the file exists."""
     training_folder = path.parent.parent
     if not _ITERATION_PATTERN.fullmatch(path.parent.name) or not training_folder.is_dir():

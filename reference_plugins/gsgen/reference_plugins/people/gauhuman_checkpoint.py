@@ -61,7 +61,7 @@ def read_gauhuman(
     if not has_motion_offsets and path.is_file():
         message = f"motion_offset_flag is False, but {path} exists"
         raise CheckpointInvalid(message, where=str(run.cfg.path))
-    nets = _read_nets(path, model.joints) if has_motion_offsets else None
+    nets = _read_pose_networks(path, model.joints) if has_motion_offsets else None
     canonical = read_canonical(run.files / "point_cloud.ply")
     return GauHumanCheckpoint(run, canonical, model, nets)
 
@@ -95,7 +95,7 @@ def _body_kind(body: Path | None) -> str:
     return next((kind for kind, known in JOINTS.items() if known == joints), "smpl")
 
 
-def _read_nets(path: Path, joints: int) -> PoseNets:
+def _read_pose_networks(path: Path, joints: int) -> PoseNets:
     state = load_state(path, "the networks that motion_offset_flag=True trains")
     parts = [state.get(name) for name in ("pose_decoder", "lweight_offset_decoder")]
     pose, weights = parts

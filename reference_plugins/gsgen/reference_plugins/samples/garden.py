@@ -37,7 +37,7 @@ def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
     """Return a garden of about ``count`` splats, five metres around, with y down as in captures."""
     rng = np.random.default_rng(seed)
     unit = count / 60_000
-    cloud = join([*_ground(unit, rng), *_table(unit, rng), *_plants(unit, rng)])
+    cloud = join([*_ground_clouds(unit, rng), *_table(unit, rng), *_plant_clouds(unit, rng)])
     return apply_lighting(cloud)
 
 
@@ -88,7 +88,7 @@ def _is_in_shadow(
     return np.asarray(shadow)
 
 
-def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
+def _ground_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     paving_disc = on_disc(int(11_000 * unit), _PAVING_RADIUS, np.zeros(3))
     x, _, z = paving_disc.position.T
     ring_row, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
@@ -184,7 +184,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=np.where(bands, [0.85, 0.85, 0.8], vase.color),
         gloss=vase.gloss,
     )
-    bouquet_flowers = _flowers(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
+    bouquet_flowers = _flower_clouds(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
     leaves = on_ellipsoid(int(900 * unit), (0.2, 0.14, 0.2), np.array([0.12, 0.3, 0.07]), rng)
     stand_position = (0.0, height + 0.01, 0.0)
     return [
@@ -197,7 +197,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
     ]
 
 
-def _flowers(
+def _flower_clouds(
     count: int, radii: tuple[float, float, float], size: float, rng: np.random.Generator
 ) -> Cloud:
     """Return flowers of a heart and two rings of petals, on the upper half of an ellipsoid."""
@@ -239,7 +239,7 @@ def _flowers(
     return join(flower_parts)
 
 
-def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
+def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     # 1. The hedge: leaves on a ring with a square profile, open towards +z.
     count = int(11_000 * unit)
     turn = rng.uniform(-1.2 * np.pi, 0.2 * np.pi, count)
@@ -283,6 +283,6 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
         bush_leaves = on_ellipsoid(
             int(600 * unit), (0.38, 0.3, 0.38), np.array([0.12, 0.28, 0.08]), rng, size=0.025
         )
-        bloom_cloud = _flowers(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
+        bloom_cloud = _flower_clouds(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
         clouds += [bush_leaves.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
     return clouds

@@ -41,8 +41,8 @@ _SWAY_ANGLES: Final = (
     (0.08, 0.05, 0.12),
 )  # axis-angles, radians
 _SKEW_MATRICES = np.zeros((3, 9))  # axis-angle → its cross-product matrix, row by row
-for _axis, _plus, _minus in ((0, 7, 5), (1, 2, 6), (2, 3, 1)):
-    _SKEW_MATRICES[_axis, [_plus, _minus]] = 1, -1
+for _axis, _positive_face, _negative_face in ((0, 7, 5), (1, 2, 6), (2, 3, 1)):
+    _SKEW_MATRICES[_axis, [_positive_face, _negative_face]] = 1, -1
 _UPPER_TRIANGLE = np.zeros((9, 6))  # a symmetric matrix, row by row → xx xy xz yy yz zz
 _UPPER_TRIANGLE[[0, 1, 2, 4, 5, 8], range(6)] = 1
 
@@ -173,7 +173,7 @@ def _sunflower(count: int, seed: int) -> tuple[Splats, np.ndarray]:
     flower_back = on_lathe(
         int(0.1 * count), [(0.02, -0.06), (0.15, -0.015)], np.array([0.2, 0.38, 0.1])
     )
-    face = _tilt_cloud(join([seeds, flower_back, *_petals(int(0.35 * count), rng)]), 62.0)
+    face = _tilt_cloud(join([seeds, flower_back, *_petal_clouds(int(0.35 * count), rng)]), 62.0)
     plant = join([
         stem, leaf.moved((0.2, 0.45, 0.0)), leaf.moved((-0.19, 0.68, 0.03)),
         face.moved((0.0, 1.28, 0.03)),
@@ -187,7 +187,7 @@ def _sunflower(count: int, seed: int) -> tuple[Splats, np.ndarray]:
     )
 
 
-def _petals(count: int, rng: np.random.Generator) -> list[Cloud]:
+def _petal_clouds(count: int, rng: np.random.Generator) -> list[Cloud]:
     """Return two rings of petals around +y; each petal is a row of Gaussians."""
     number = max(8, count // 12)
     petals = []

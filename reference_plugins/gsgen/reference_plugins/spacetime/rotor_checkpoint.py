@@ -146,22 +146,20 @@ def _capture_values(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
             message, where=str(path), hint=f"Export them with `gsgen export static {path}`."
         )
     if len(values) != _CAPTURE_LENGTH or not isinstance(content[1], int):
-        message = (
-            f"holds {_describe(content)}, expected ({_CAPTURE_LENGTH} values of capture, iteration)"
-        )
+        message = f"holds {_describe_content(content)}, expected ({_CAPTURE_LENGTH} values of capture, iteration)"
         hint = "Training of rotor 4DGS writes chkpntN.pth."
         raise CheckpointInvalid(message, where=str(path), hint=hint)
     for index, kind in ((0, int), (_ROT_4D_FIELD, bool), (_TIME_DEGREE, int)):
         if not isinstance(values[index], kind):
             raise CheckpointInvalid(
-                f"value {index} of capture() is {_describe(values[index])}, "
+                f"value {index} of capture() is {_describe_content(values[index])}, "
                 f"expected {kind.__name__}",
                 where=str(path),
             )
     return values, content[1]
 
 
-def _describe(content: Any) -> str:
+def _describe_content(content: Any) -> str:
     size = f" of {len(content)}" if isinstance(content, tuple | list | dict) else ""
     return f"a {type(content).__name__}{size}"
 

@@ -54,7 +54,7 @@ def build(
     from gsgen.reference_plugins.static.static import StaticScene
 
     content = _read(file)
-    note(f"{file}: {_describe(content)}")
+    note(f"{file}: {_describe_content(content)}")
     return StaticScene(
         content=content,
         opacity=opacity,
@@ -71,7 +71,7 @@ def _read(file: Path) -> "Splats | PointCloud | PackedRows":
     return open_splats(file, drop_invalid=True)
 
 
-def _describe(content: "Splats | PointCloud | PackedRows") -> str:
+def _describe_content(content: "Splats | PointCloud | PackedRows") -> str:
     from gsgen.formats import PointCloud, Splats
 
     if isinstance(content, Splats):

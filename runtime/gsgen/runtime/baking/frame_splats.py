@@ -48,8 +48,8 @@ class FrameConverter:
         self._rotation = np.empty((0, 4), np.float32)
         self._colors = np.empty((0, 3), np.float32)
         self._has_finite_colors = np.empty(0, bool)
-        self._selected_from = self._colors  # of which, and of which rows, the coefficients are
-        self._selected = self._has_finite_colors
+        self._selected_colors = self._colors  # of which, and of which rows, the coefficients are
+        self._selected_rows = self._has_finite_colors
         self._sh = np.empty((0, 1, 3), np.float32)
 
     def drawn_mask(self, gaussians: DecodedGaussians) -> tuple[Bool[np.ndarray, " n"], int]:
@@ -87,9 +87,9 @@ class FrameConverter:
     ) -> Float32[np.ndarray, "m k 3"]:
         """Return the SH coefficients of the drawn rows: the last frame's array where they are."""
         colors = _colors(gaussians)
-        if self._selected_from is colors and np.array_equal(self._selected, is_drawn):
+        if self._selected_colors is colors and np.array_equal(self._selected_rows, is_drawn):
             return self._sh
-        self._selected_from, self._selected = colors, is_drawn
+        self._selected_colors, self._selected_rows = colors, is_drawn
         sh = np.asarray(colors[_selection(is_drawn)], np.float32)
         if gaussians.sh is None:
             sh = ((sh.astype(np.float64)[:, None, :] - 0.5) / SH_C0).astype(np.float32)

@@ -104,7 +104,7 @@ def sample_views(
     rows_change = counts_change or any(view.versions[0] != first_array[0] for view in views)
     colors_change = counts_change or any(view.versions[1] != first_array[1] for view in views)
     ids = (
-        _matched_by_position(views, source.name)
+        _match_rows_by_position(views, source.name)
         if counts_change
         else [np.arange(len(view.gaussians)) for view in views]
     )
@@ -179,7 +179,7 @@ def _mean_gaussians(
     )
 
 
-def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
+def _match_rows_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
     """Match Gaussians of several cameras by position; return the row of each in the union."""
     ids: list[np.ndarray] = []
     known_keys = np.empty(0, np.dtype((np.void, 16)))

@@ -38,20 +38,22 @@ class Fields(Mapping[str, Any]):
     """
 
     def __init__(self, document: Mapping[str, Any], shared: "Fields | None" = None) -> None:
-        self._document, self._shared = document, shared
+        self._document, self._shared_fields = document, shared
         self._read: set[str] = set()
 
     def __getitem__(self, name: str) -> Any:
         """Return a field, and record that it was read."""
-        if name not in self._document and self._shared is not None:
-            return self._shared[name]
+        if name not in self._document and self._shared_fields is not None:
+            return self._shared_fields[name]
         value = self._document[name]
         self._read.add(name)
         return value
 
     def __contains__(self, name: object) -> bool:
         """Return whether a field exists, without reading it."""
-        return name in self._document or (self._shared is not None and name in self._shared)
+        return name in self._document or (
+            self._shared_fields is not None and name in self._shared_fields
+        )
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the object's own fields."""
@@ -96,7 +98,7 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
     # An integer may be too large for a float.
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= 1e300:  # type: ignore[arg-type]
-        raise ConfigInvalid(_mismatch(document, name, "a finite number"), where=where)
+        raise ConfigInvalid(_field_mismatch_text(document, name, "a finite number"), where=where)
     return float(value)  # type: ignore[arg-type]
 
 
@@ -122,9 +124,9 @@ def matrix(
     try:
         array = np.array(document[name], np.float64)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ConfigInvalid(_mismatch(document, name, expected), where=where) from error
+        raise ConfigInvalid(_field_mismatch_text(document, name, expected), where=where) from error
     if array.shape != shape or not np.isfinite(array).all():
-        raise ConfigInvalid(_mismatch(document, name, expected), where=where)
+        raise ConfigInvalid(_field_mismatch_text(document, name, expected), where=where)
     return array
 
 
@@ -138,7 +140,7 @@ def camera_at(where: str, **values: Any) -> Camera:
         ) from error
 
 
-def _mismatch(document: Mapping[str, Any], name: str, expected: str) -> str:
+def _field_mismatch_text(document: Mapping[str, Any], name: str, expected: str) -> str:
     if name not in document:
         return f"lacks {name}: expected {expected}"
     actual = repr(document[name])

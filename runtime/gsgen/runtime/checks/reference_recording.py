@@ -135,7 +135,7 @@ class _PictureCameras:
     """The cameras of a model's reference images: those of the test inputs, or ``--camera``."""
 
     def __init__(self, manifest: GeneratorManifest, camera: str | None, width: int) -> None:
-        self._manifest, self._width = manifest, width
+        self._manifest, self._image_width = manifest, width
         has_camera_input = any(spec.role in _CAMERA_ROLES for spec in manifest.inputs)
         self._view = None if has_camera_input and camera is None else viewpoint(camera)
 
@@ -150,7 +150,9 @@ class _PictureCameras:
         if camera.kind != "pinhole":
             message = f"is {camera.kind}, expected a pinhole camera"
             raise SceneInvalid(message, where="--camera")
-        return camera.scaled(self._width, max(1, round(camera.height * self._width / camera.width)))
+        return camera.scaled(
+            self._image_width, max(1, round(camera.height * self._image_width / camera.width))
+        )
 
 
 def _draw(

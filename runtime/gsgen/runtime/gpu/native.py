@@ -63,10 +63,10 @@ def parse_native_types() -> int:
         return 0
     names = ffi.list_types()[0]
     members = {f"{name} *": f"{name} *{{}}" for name in names}
-    members |= {text: f"{text}{{}}" for text in _PLAIN_TYPES if _are_declared(text, names)}
-    for text in filter(lambda text: _are_declared(text, names), _ARRAY_TYPES):
+    members |= {text: f"{text}{{}}" for text in _PLAIN_TYPES if _are_symbols_declared(text, names)}
+    for text in filter(lambda text: _are_symbols_declared(text, names), _ARRAY_TYPES):
         members[text] = text.replace("[]", "(*{})[]")
-    for text in filter(lambda text: _are_declared(text, names), _CALLBACK_TYPES):
+    for text in filter(lambda text: _are_symbols_declared(text, names), _CALLBACK_TYPES):
         members[text] = text.replace("void(", "void (*{})(")
     fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
     ffi.cdef(f"{_TYPES_STRUCT} {{{fields}}};")
@@ -85,7 +85,7 @@ def _parsed_types() -> dict[str, tuple[Any, bool]] | None:
     return parsed_types if isinstance(parsed_types, dict) else None
 
 
-def _are_declared(text: str, names: list[str]) -> bool:
+def _are_symbols_declared(text: str, names: list[str]) -> bool:
     """Return whether the library declares all of its types that a text names."""
     return set(re.findall(r"WGPU\w+", text)) <= set(names)
 

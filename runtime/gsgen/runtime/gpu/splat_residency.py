@@ -280,8 +280,8 @@ class Residency:
         self._compact = compact
         self._device = device
         self._page_rows = page_rows
-        self._resident_by_data: WeakKeyDictionary[SplatData, _ResidentSplats]
-        self._resident_by_data = WeakKeyDictionary()
+        self._resident_by_splat_data: WeakKeyDictionary[SplatData, _ResidentSplats]
+        self._resident_by_splat_data = WeakKeyDictionary()
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
@@ -358,14 +358,14 @@ class Residency:
         ]
 
     def _get_resident(self, data: SplatData) -> _ResidentSplats:
-        if data not in self._resident_by_data:
-            self._resident_by_data[data] = _ResidentSplats(
+        if data not in self._resident_by_splat_data:
+            self._resident_by_splat_data[data] = _ResidentSplats(
                 pages=list(self._allocate(data)),
                 rows=_UploadedPart(),
                 appearance=_UploadedPart(),
                 cells=_UploadedPart(),
             )
-        return self._resident_by_data[data]
+        return self._resident_by_splat_data[data]
 
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""

@@ -146,7 +146,7 @@ def save_picture(
     metadata = _metadata(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
     with atomic_write(path) as temporary_path:
         try:
-            image.fromarray(_on_black(path, picture)).save(temporary_path, **metadata)
+            image.fromarray(_composite_on_black(path, picture)).save(temporary_path, **metadata)
         except ValueError as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
 
@@ -210,7 +210,10 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
     """
     image = _image()
     if path.suffix.lower() == ".mp4":
-        colors = (image.fromarray(_on_black(path, picture)).convert("RGB") for picture in pictures)
+        colors = (
+            image.fromarray(_composite_on_black(path, picture)).convert("RGB")
+            for picture in pictures
+        )
         video = mp4.encode(colors, fps)
         with atomic_write(path) as temporary_path:
             temporary_path.write_bytes(video)
@@ -256,7 +259,7 @@ def _with_transparent_color(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
     return frame
 
 
-def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
+def _composite_on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
     """Blend a picture with black if the file format has no transparency."""
     if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE_SUFFIXES:
         alpha = picture[..., 3:] / 255

@@ -113,8 +113,8 @@ def _blend(
         is_stopped = is_hit & (after <= _MIN_TRANSMITTANCE)
         # Step 4: mark pixels where the last bits of float32 may decide otherwise.
         is_near_edge = _is_near_edge(unclamped_alpha, dx, camera)
-        is_near_surface = _is_touching(splats.depth[i], surfaces.depth[window])
-        is_near_surface |= _is_touching(splats.depth[i], layer.depth[window])
+        is_near_surface = _is_touching_surface(splats.depth[i], surfaces.depth[window])
+        is_near_surface |= _is_touching_surface(splats.depth[i], layer.depth[window])
         fragile[window] |= ~is_finished[window] & (alpha >= MIN_ALPHA) & is_near_surface
         is_near_stop = is_hit & (np.abs(after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
         fragile[window] |= ~is_finished[window] & (is_near_edge | is_near_stop)
@@ -147,7 +147,7 @@ def _blend(
     is_covered = transmittance < 1
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     return Picture(
-        rgba=_over(background, color, transmittance),
+        rgba=_composite_over(background, color, transmittance),
         depth=np.where(is_covered, depth / np.where(is_covered, 1 - transmittance, 1), np.inf),
         median_depth=median,
         ids=ids,
@@ -171,7 +171,9 @@ def _opacity(
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
 
 
-def _over(background: Sequence[float], color: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
+def _composite_over(
+    background: Sequence[float], color: np.ndarray, transmittance: np.ndarray
+) -> np.ndarray:
     """Composite colours over the background, and append alpha."""
     red, green, blue, background_alpha = background
     mixed_color = color + transmittance[..., None] * np.array([red, green, blue]) * background_alpha
@@ -190,7 +192,7 @@ def _is_near_edge(unclamped_alpha: np.ndarray, dx: np.ndarray, camera: Camera) -
     return np.asarray(is_near_edge)
 
 
-def _is_touching(depth: float, surface: np.ndarray) -> np.ndarray:
+def _is_touching_surface(depth: float, surface: np.ndarray) -> np.ndarray:
     """Return the pixels at which a mesh surface has the depth of a Gaussian, up to rounding."""
     return np.asarray(np.abs(depth - surface) <= _TOUCH_TOLERANCE * depth)
 

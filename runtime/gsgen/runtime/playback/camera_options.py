@@ -75,9 +75,9 @@ class Viewpoint:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the cameras for the user: losses of their file, and images of another shape."""
-        return self.file_notes + self._shape_notes()
+        return self.file_notes + self._camera_shape_notes()
 
-    def _shape_notes(self) -> tuple[str, ...]:
+    def _camera_shape_notes(self) -> tuple[str, ...]:
         """Return a note if images have another shape than the cameras of the file."""
         reshaped = [
             camera
@@ -224,7 +224,7 @@ def viewpoint(
     from gsgen.runtime.camera_files import open_cameras, split_pick
 
     path, selection = split_pick(text or "")
-    if not _exists(path):
+    if not _does_path_exist(path):
         raise ConfigInvalid(
             f"{text!r} is neither a camera nor an existing file",
             where="--camera",
@@ -247,7 +247,7 @@ def viewpoint(
     )
 
 
-def _exists(path: Path) -> bool:
+def _does_path_exist(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:  # for example a name that is too long

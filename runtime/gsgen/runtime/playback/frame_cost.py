@@ -100,10 +100,10 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
     for number in range(min(sequence.frames, _WARM_UP_FRAMES)):
         sequence.draw(number)
     on_step(f"drawing {sequence.frames} frames")
-    playback_cost, statistics = _play(sequence), sequence.player.statistics
+    playback_cost, statistics = _play_frames(sequence), sequence.player.statistics
     on_step("measuring stages")
     with device.translate_errors():
-        staged_cost = _stage(sequence)
+        staged_cost = _measure_stages(sequence)
     return FrameCost(
         device=device.name,
         software=device.software,
@@ -142,7 +142,7 @@ class _PlaybackCost:
     pairs: list[int] = field(default_factory=list)
 
 
-def _play(sequence: FrameSequence) -> _PlaybackCost:
+def _play_frames(sequence: FrameSequence) -> _PlaybackCost:
     playback_cost = _PlaybackCost(inference={source.name: [] for source in sequence.sources})
     started, cpu_start = time.perf_counter(), time.process_time()
     for frame in sequence.player.play(sequence.frame_requests()):
@@ -170,7 +170,7 @@ class _StageCost:
     plan_bytes: int
 
 
-def _stage(sequence: FrameSequence) -> _StageCost:
+def _measure_stages(sequence: FrameSequence) -> _StageCost:
     """Draw some frames of a sequence stage by stage, and measure them."""
     renderer = sequence.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None

@@ -90,9 +90,11 @@ class FrameSequence(Playback):
         )
         self._view, self._mode, self.notes = view, mode, view.notes + notes
         is_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
-        self._turn = turn if turn is not None else (FULL_TURN_DEGREES if is_turning else 0.0)
+        self._turn_degrees = (
+            turn if turn is not None else (FULL_TURN_DEGREES if is_turning else 0.0)
+        )
         self.player = self.make_player(renderer, background, PICTURE_MODES[mode], post)
-        self._last: Frame | None = None
+        self._last_frame: Frame | None = None
 
     @property
     def motion(self) -> str:
@@ -104,7 +106,7 @@ class FrameSequence(Playback):
 
     def frame_request(self, number: int) -> FrameRequest:
         """Return the camera and the input values of frame ``number``, from 0."""
-        turn = self._turn * number / self.frames
+        turn = self._turn_degrees * number / self.frames
         return self.request(self._view.camera(self.sources[0], number, turn), number)
 
     def frame_requests(self) -> Iterator[FrameRequest]:
@@ -113,8 +115,8 @@ class FrameSequence(Playback):
 
     def draw(self, number: int) -> Frame:
         """Draw the frame ``number`` of the sequence, from 0."""
-        self._last = self.player.render(self.frame_request(number))
-        return self._last
+        self._last_frame = self.player.render(self.frame_request(number))
+        return self._last_frame
 
     def write(
         self,
@@ -162,7 +164,7 @@ class FrameSequence(Playback):
     def _draw_frames(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
         on_frame(1)
         for number, frame in enumerate(self.player.play(self.frame_requests())):
-            self._last = frame
+            self._last_frame = frame
             yield frame
             if number + 1 < self.frames:
                 on_frame(number + 2)
@@ -180,16 +182,16 @@ class FrameSequence(Playback):
 
     def summary(self) -> dict[str, object]:
         """Return size, device, and numbers of frames and Gaussians of a drawn sequence; its waits."""
-        assert self._last is not None  # write() comes first
-        height, width = self._last.alpha.shape
+        assert self._last_frame is not None  # write() comes first
+        height, width = self._last_frame.alpha.shape
         return {
             "frames": self.frames,
             "width": width,
             "height": height,
             "gaussians": sum(source.count for source in self.sources),
-            "visible": self._last.visible,
+            "visible": self._last_frame.visible,
             "triangles": sum(len(mesh.data) for mesh in self.player.scene.meshes),
-            "pairs": self._last.pairs,
+            "pairs": self._last_frame.pairs,
             "device": self.player.renderer.device.name,
             "frames_in_flight": self.player.statistics.in_flight,
             "waited": round(self.player.statistics.waited, 3),

@@ -109,7 +109,7 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
         if path.suffix.lower() == ".json":
             array = np.asarray(json.loads(path.read_text("utf-8")))
         else:
-            array = _only_array(path)
+            array = _load_only_array(path)
     except ArraysUnreadable as error:
         raise ConfigInvalid(error.message, where=str(path)) from error
     except OSError as error:
@@ -120,7 +120,7 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
     return numbers_of(array, str(path))
 
 
-def _only_array(path: Path) -> Shaped[np.ndarray, "..."]:
+def _load_only_array(path: Path) -> Shaped[np.ndarray, "..."]:
     arrays = read_array_file(path)
     if len(arrays) != 1:
         raise ValueError(f"the .npz has {len(arrays)} arrays, expected one")

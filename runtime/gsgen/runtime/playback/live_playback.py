@@ -98,7 +98,7 @@ class LivePlayback(Playback):
 
     def begin(self, camera: Camera) -> None:
         """Begin to compute the current frame for a camera, unless it is computed or in progress."""
-        moment = self._moment_key(camera)
+        moment = self._playback_moment_key(camera)
         if self._pending_moment is None and (moment != self._drawn_moment or self._is_streaming()):
             values = self.values(self.number)
             for source, source_values in zip(self.sources, values, strict=False):
@@ -136,7 +136,7 @@ class LivePlayback(Playback):
     def frame(self, player: Player, camera: Camera) -> Frame:
         """Compute and draw the current frame, through the post-process models."""
         self.abandon()
-        moment, before = self._moment_key(camera), self._data_versions()
+        moment, before = self._playback_moment_key(camera), self._data_versions()
         frame = player.render(self.request(camera, self.number))
         self._drawn_moment = moment
         self.version += before != self._data_versions()
@@ -172,7 +172,7 @@ class LivePlayback(Playback):
         for model in self.post:
             model.close()
 
-    def _moment_key(self, camera: Camera) -> object:
+    def _playback_moment_key(self, camera: Camera) -> object:
         """Return a key that changes when the models must compute a new frame."""
         if not any(source.follows_camera for source in self.sources):
             return 0

@@ -69,14 +69,14 @@ class PostProcessor:
             message = "the model declares no image input, expected an input of role image"
             raise SceneInvalid(message, where=self.name)
         self._image = image[0].name
-        self._shapes = {spec.name: spec for spec in _specs(facts)}
+        self._shapes = {spec.name: spec for spec in _tensor_specs(facts)}
         self._size_bindings = facts.sizes(self._sizes)
         self._axes = {
             axis: dim or f"{self._image}[{axis + 2}]"
             for axis, dim in enumerate(self._shapes[self._image].dims[2:])
             if not isinstance(dim, int)
         }
-        self._opened: tuple[tuple[int, int], FrameSession] | None = None
+        self._session_and_size: tuple[tuple[int, int], FrameSession] | None = None
         if not self._axes:
             self._session((0, 0))  # a model that cannot run raises before drawing begins
 
@@ -95,8 +95,8 @@ class PostProcessor:
         Raises:
             SizeUnknown: The shape depends on the size of the image.
         """
-        if self._opened is not None:
-            return self._opened[1].inputs[name].shape
+        if self._session_and_size is not None:
+            return self._session_and_size[1].inputs[name].shape
         return self._shapes[name].shape(self._size_bindings)
 
     def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
@@ -118,7 +118,7 @@ class PostProcessor:
         session = self._session((height, width))
         session.update(values)
         binding = session.inputs[self._image]
-        pixels = np.concatenate([_straight_srgb(frame, alpha), alpha], axis=-1)[
+        pixels = np.concatenate([_straight_alpha_srgb(frame, alpha), alpha], axis=-1)[
             ..., : binding.shape[1]
         ]
         low, high = self.manifest.image_range
@@ -169,8 +169,8 @@ class PostProcessor:
     def _session(self, size: tuple[int, int]) -> "FrameSession":
         """Return the ONNX Runtime session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
-        if self._opened is not None and self._opened[0] == image_size:
-            return self._opened[1]
+        if self._session_and_size is not None and self._session_and_size[0] == image_size:
+            return self._session_and_size[1]
         self.close()
         sizes = self._sizes | {name: size[axis] for axis, name in self._axes.items()}
         from gsgen.sdk.binding import FrameSession
@@ -178,14 +178,14 @@ class PostProcessor:
         session = FrameSession(
             self._path, provider=self._provider, sizes=sizes, confined=self._confined or False
         )
-        self._opened = image_size, session
+        self._session_and_size = image_size, session
         return session
 
     def close(self) -> None:
         """Release the model's session; the next frame opens another."""
-        if self._opened is not None:
-            self._opened[1].close()
-            self._opened = None
+        if self._session_and_size is not None:
+            self._session_and_size[1].close()
+            self._session_and_size = None
 
     def __enter__(self) -> Self:
         return self
@@ -205,7 +205,7 @@ def _post_process(name: str, facts: "ModelFacts") -> PostProcessManifest:
     raise SceneInvalid(f"{kind}, expected a post-process model", where=name, hint=hint)
 
 
-def _specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
+def _tensor_specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
     """Yield each input of a model's graph with its dimensions."""
     from gsgen.sdk.binding.bound_session import TensorSpec
 
@@ -218,7 +218,7 @@ def _specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
         yield TensorSpec(value.name, np.dtype(np.float32), dims)
 
 
-def _straight_srgb(
+def _straight_alpha_srgb(
     frame: Frame, alpha: Float32[np.ndarray, "h w 1"]
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return the colours of a frame in sRGB, in [0, 1], with straight alpha."""

@@ -86,7 +86,7 @@ class Timeline:
         values: dict[str, object] = {}
         if frames > 1:
             for spec, ends in self._advancing_inputs(model):
-                values[spec.name] = _moment(spec, ends, number, frames)
+                values[spec.name] = _time_value_of_frame(spec, ends, number, frames)
         if self._time is not None:
             values |= {spec.name: self._time for spec in _inputs_of_role(model, "time")}
         for track in self._tracks:
@@ -119,7 +119,9 @@ def _round_to_integers(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, ".
     return np.asarray(np.rint(value), np.int64)
 
 
-def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
+def _time_value_of_frame(
+    spec: Input, ends: tuple[float, float], number: int, frames: int
+) -> object:
     """Return the time or frame number of a video frame; loops leave out the end of the range."""
     low, high = ends
     if spec.role == "frame_index":

@@ -68,7 +68,7 @@ class DepthOrder:
             )
             sorted_ = columns[side]
         else:
-            steps, sorted_ = self._deep_steps(
+            steps, sorted_ = self._deep_sort_steps(
                 capacity, counts, columns, low_keys, spare_keys, histograms
             )
         origin_buffers = () if origins is None else (origins,)
@@ -102,7 +102,7 @@ class DepthOrder:
             has_histogram=has_histogram,
         )
 
-    def _deep_steps(
+    def _deep_sort_steps(
         self,
         capacity: int,
         counts: Buffer,

@@ -30,12 +30,12 @@ class DelayedCounts:
 
     def __init__(self) -> None:
         self.wait_seconds = 0.0
-        self._in_flight: deque[tuple[StagingBuffers, list[StagingBuffers]]] = deque()
+        self._pending_readbacks: deque[tuple[StagingBuffers, list[StagingBuffers]]] = deque()
         self._free_staging: list[StagingBuffers] = []
         self._layout: object = None
 
     def __bool__(self) -> bool:
-        return bool(self._in_flight)
+        return bool(self._pending_readbacks)
 
     def staging(self, plan: Plan) -> StagingBuffers:
         """Return a staging buffer for a frame's GPU counters that no unfinished frame uses."""
@@ -46,7 +46,7 @@ class DelayedCounts:
     def add(self, staging: StagingBuffers) -> None:
         """Begin to read the GPU counters of a frame that was just submitted."""
         staging.begin()
-        self._in_flight.append((staging, self._free_staging))
+        self._pending_readbacks.append((staging, self._free_staging))
 
     def read(self, *, in_flight: int = MAX_FRAMES_IN_FLIGHT - 1) -> list[list[np.ndarray]]:
         """Return the GPU counters of all frames but the newest ``in_flight``, oldest frame first.
@@ -55,8 +55,8 @@ class DelayedCounts:
         :func:`gsgen.runtime.renderer.frame_counts.frame_counts`.
         """
         start_time, counts = time.perf_counter(), []
-        while len(self._in_flight) > in_flight:
-            staging, free_staging = self._in_flight.popleft()
+        while len(self._pending_readbacks) > in_flight:
+            staging, free_staging = self._pending_readbacks.popleft()
             counts.append(list(staging.read_words().values()))
             free_staging.append(staging)
         self.wait_seconds = time.perf_counter() - start_time

@@ -109,7 +109,7 @@ class Renderer:
                 self.rasteriser = choose(self.device, self._kernels)
                 if (sort_config := chosen_sort_config(self.device)) != self._kernels.sort_config:
                     self._kernels = Kernels(self.device, sort_config=sort_config)
-        self._is_deep, self._slab_limit = False, _UNLIMITED_SPLATS
+        self._has_deep_tiles, self._slab_limit = False, _UNLIMITED_SPLATS
         self._rows: object = None
         self._plan_key: object = None
         self._plan: Plan | None = None
@@ -160,7 +160,7 @@ class Renderer:
             if self._band_rows(scene, camera, len(requested)) >= camera.height:
                 placed, meshes = self._uploaded(scene)
                 plan = self.plan(placed, camera, requested, meshes)
-                if self._is_steady(plan):
+                if self._has_steady_counts(plan):
                     images, color = self._readbacks.take(plan), rgba[:3]
                     plan.submit(placed, camera, color, meshes=meshes, staging=images.staging)
                     images.staging.begin()
@@ -209,7 +209,9 @@ class Renderer:
         """
         if wait:
             self._steady_counts = None
-            plan, counts = self._draw_in_one_buffer(scene, Band.of(camera), background, output)
+            plan, counts = self._draw_in_one_command_buffer(
+                scene, Band.of(camera), background, output
+            )
         else:
             requested, rgba = checked(scene, (output,), background, published=self._is_published)
             with self._device_errors(scene, camera):
@@ -237,7 +239,7 @@ class Renderer:
         drawn = list[DrawnImage]()
 
         def draw(band: Band) -> CountsAndImages:
-            plan, counts = self._draw_in_one_buffer(scene, band, background, output)
+            plan, counts = self._draw_in_one_command_buffer(scene, band, background, output)
             image = self._band_images.copy(len(drawn), plan.images[output])
             drawn.append(DrawnImage.of(image, band, counts))
             return counts, {}
@@ -270,7 +272,7 @@ class Renderer:
         slab_layers = extra_layers(scene, self.device, self._max_slab_splats)
         return band_rows(self.device, camera, images, layers + slab_layers)
 
-    def _draw_in_one_buffer(
+    def _draw_in_one_command_buffer(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
@@ -320,7 +322,7 @@ class Renderer:
             # Step 2: the counts tell if pairs, or the order of equal depths, are missing.
             try:
                 if not self._must_redraw(counts):
-                    self._grow_early(counts)
+                    self._grow_pair_buffers_early(counts)
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
@@ -341,7 +343,7 @@ class Renderer:
             self._read_late_counts(parts)
         placed, meshes = self._uploaded(scene)
         plan = self.plan(placed, camera, requested, meshes)
-        if self._steady_counts is None or not self._is_steady(plan):
+        if self._steady_counts is None or not self._has_steady_counts(plan):
             self._steady_counts = None  # keeps the rows of other sets
             plan, counts, _ = self._redraw(
                 scene, Band.of(camera), rgba, requested, placed, meshes, fetch=False
@@ -353,7 +355,7 @@ class Renderer:
         self.late_counts.add(staging)
         return plan, self._steady_counts[1]
 
-    def _is_steady(self, plan: Plan) -> bool:
+    def _has_steady_counts(self, plan: Plan) -> bool:
         """Return whether an earlier frame of the same sets and size told the buffers' sizes."""
         uses_slabs = plan.slabs or plan.weighted_slabs
         return (
@@ -376,10 +378,10 @@ class Renderer:
         if self._steady_counts is not None:
             # If rows must return to their own order, the next frame is waited for.
             self._steady_counts = None if counts[Counts.TIED] else (self._steady_counts[0], counts)
-        self._grow_early(counts)
+        self._grow_pair_buffers_early(counts)
         return is_incomplete
 
-    def _grow_early(self, counts: np.ndarray) -> None:
+    def _grow_pair_buffers_early(self, counts: np.ndarray) -> None:
         """Enlarge the buffers of pairs before a frame that needs it would be drawn twice."""
         if int(counts[Counts.WANTED_PAIRS]) > _PAIR_BUFFER_GROWTH_THRESHOLD * self._pairs:
             self._grow_pair_capacity(min(int(counts[Counts.WANTED_PAIRS]), self._max_pairs))
@@ -400,7 +402,7 @@ class Renderer:
         if int(counts[Counts.WANTED_PAIRS]) > self._pairs:
             self._grow_pair_capacity(int(counts[Counts.WANTED_PAIRS]))
         if counts[Counts.UNSORTED]:
-            self._is_deep = True
+            self._has_deep_tiles = True
         return bool(has_too_few_pairs or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[PlacedPage]:
@@ -440,7 +442,7 @@ class Renderer:
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
-            self._rows, self._is_deep, self._slab_limit = rows, False, _UNLIMITED_SPLATS
+            self._rows, self._has_deep_tiles, self._slab_limit = rows, False, _UNLIMITED_SPLATS
         image = ImageSpec(
             size=(camera.width, camera.height),
             outputs=outputs,
@@ -448,7 +450,7 @@ class Renderer:
             dilation="small" if camera.dilation < MIN_DILATION else "usual",
         )
         self._plan_shape = (contents, image)
-        key = (self._plan_shape, self._pairs, self._is_deep, self._slab_limit)
+        key = (self._plan_shape, self._pairs, self._has_deep_tiles, self._slab_limit)
         if self._plan is None or key != self._plan_key:
             self._plan, self._plan_key = None, None  # its memory goes before the new one's comes
             self._readbacks.clear()
@@ -456,7 +458,7 @@ class Renderer:
             method = RasterMethod(
                 pair_capacity=self._pairs,
                 rasteriser="tiles" if slabs.splats else self._rasteriser_of(outputs),
-                sort="deep" if self._is_deep else "by key",
+                sort="deep" if self._has_deep_tiles else "by key",
                 backgrounds="published" if self._is_published else "composed",
                 slabs=slabs,
             )

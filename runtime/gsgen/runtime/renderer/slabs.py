@@ -245,7 +245,7 @@ def _key_bins(
             )
 
 
-def _add_earlier(previous: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _add_previous_slabs(previous: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Add up the GPU counters of all depth slabs."""
     total = counts.copy()
     total[_COUNTERS_SUMMED_OVER_SLABS] += previous[_COUNTERS_SUMMED_OVER_SLABS]
@@ -302,7 +302,7 @@ class Slabs:
         device = kernels.device
         self._device, self._kernels, self._pages = device, kernels, pages
         self._is_weighted = weighted
-        self._stages = _CELL_KERNEL_STAGES if weighted else _SLAB_STAGES
+        self._kernel_stages = _CELL_KERNEL_STAGES if weighted else _SLAB_STAGES
         self._key_stages = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
         self.buffers: dict[str, Buffer] = {}
@@ -346,9 +346,9 @@ class Slabs:
             run: Runs stages of the plan.
         """
         key_stage, tally_stage = self._key_stages
-        others = (name for name in stages if name not in (*self._stages, *self._key_stages))
+        others = (name for name in stages if name not in (*self._kernel_stages, *self._key_stages))
         before = [*self._key_stages, *others]
-        stages = [name for name in stages if name in self._stages]
+        stages = [name for name in stages if name in self._kernel_stages]
         ranked_keys: tuple[int, ...] = ()  # by what the keys are
         total = np.zeros(0, np.uint32)
 
@@ -378,7 +378,7 @@ class Slabs:
             ranked_keys = keys.tied_keys
             if state.resumes_cell:
                 counts[Counts.PAIRS] = 0  # those of the cell were counted
-            total = counts if number == 0 else _add_earlier(total, counts)
+            total = counts if number == 0 else _add_previous_slabs(total, counts)
             if _is_redrawn(total):
                 break
         return total, images
@@ -494,4 +494,4 @@ def draw_parts(
         if not rest or _is_redrawn(previous):
             return previous, images
     counts, images = splats.draw(rest, run) if splats is not None else run(rest, SlabState())
-    return counts if previous is None else _add_earlier(previous, counts), images
+    return counts if previous is None else _add_previous_slabs(previous, counts), images

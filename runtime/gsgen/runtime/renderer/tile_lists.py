@@ -56,7 +56,7 @@ def list_splats(
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
     """Return stages that list splats by image tile, the buffer of lists, and buffers to clear."""
     if kernels.lists:
-        return _counting_lists(kernels, lists, panorama=panorama)
+        return _draw_counting_lists(kernels, lists, panorama=panorama)
     # A pair has the tile as its key. Pairs are listed in order of depth and sorted by tile, stably:
     # each tile then has its splats together, nearest first.
     pairs = [allocate_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
@@ -71,7 +71,7 @@ def list_splats(
     return stages, members, [histograms[0]]
 
 
-def _counting_lists(
+def _draw_counting_lists(
     kernels: Kernels, lists: TileLists, *, panorama: bool
 ) -> tuple[dict[str, list[Step]], Buffer, list[Buffer]]:
     """Return the results of ``list_splats`` for kernels that count splats instead of sorting."""

@@ -136,7 +136,7 @@ class Scene:
         meshes: Iterable[Mesh | MeshData] = (),
         pools: Iterable[PooledSplatSet | SplatPool] = (),
     ) -> None:
-        splat_sets = tuple(map(_as_set, sets))
+        splat_sets = tuple(map(_as_splat_set, sets))
         object.__setattr__(self, "sets", splat_sets)
         object.__setattr__(self, "color_space", color_space or _common_space(splat_sets))
         placed_meshes = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
@@ -179,7 +179,7 @@ class Scene:
         return own_count + sum(len(pooled_set.pool) for pooled_set in self.pools)
 
 
-def _as_set(entry: SplatSet | SplatData) -> SplatSet:
+def _as_splat_set(entry: SplatSet | SplatData) -> SplatSet:
     if isinstance(entry, SplatSet):
         return entry
     if isinstance(entry, SplatData):

@@ -91,9 +91,9 @@ class SplatPool:
         self.origin: Float64[np.ndarray, "s 3"] = np.zeros((self.slots, 3))
         self.low: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
         self.high: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
-        self._free = list(range(self.slots))  # a heap: the lowest slot is taken first
+        self._free_slots = list(range(self.slots))  # a heap: the lowest slot is taken first
         self._slots_of: dict[int, list[int]] = {}
-        self._writes: list[SlotWrite] = []
+        self._slot_writes: list[SlotWrite] = []
 
     @property
     def degree(self) -> int:
@@ -103,7 +103,7 @@ class SplatPool:
     @property
     def free_slots(self) -> int:
         """The number of slots of the splat pool (for streamed tiles) that no tile occupies."""
-        return len(self._free)
+        return len(self._free_slots)
 
     @property
     def tiles(self) -> tuple[int, ...]:
@@ -140,13 +140,13 @@ class SplatPool:
             raise SceneInvalid("the tile is in the splat pool already", where=f"tile {tile}")
         self._require_shapes(tile, rows, appearance)
         needed_slots = -(-max(len(rows), reserved_rows) // self.slot_rows)
-        if needed_slots > len(self._free):
+        if needed_slots > len(self._free_slots):
             raise CapacityExceeded(
-                f"the tile needs {needed_slots} slots, but only {len(self._free)} of {self.slots} are free",
+                f"the tile needs {needed_slots} slots, but only {len(self._free_slots)} of {self.slots} are free",
                 where=f"tile {tile}",
                 hint="Evict tiles first, or make the pool larger.",
             )
-        slots = [heapq.heappop(self._free) for _ in range(needed_slots)]
+        slots = [heapq.heappop(self._free_slots) for _ in range(needed_slots)]
         self._slots_of[tile] = slots
         self._write(slots, rows, appearance, origin)
 
@@ -163,7 +163,7 @@ class SplatPool:
             CapacityExceeded: The slots of the tile do not suffice.
             SceneInvalid: The tile is not in the pool, or the arrays have other shapes.
         """
-        slots = self._held_slots(tile)
+        slots = self._slots_held_by_tile(tile)
         self._require_shapes(tile, rows, appearance)
         if len(rows) > len(slots) * self.slot_rows:
             raise CapacityExceeded(
@@ -171,7 +171,7 @@ class SplatPool:
                 where=f"tile {tile}",
                 hint="Reserve rows when the tile is inserted.",
             )
-        self._overwrite(slots, rows, appearance, origin)
+        self._overwrite_slots(slots, rows, appearance, origin)
 
     def extend(
         self,
@@ -187,7 +187,7 @@ class SplatPool:
         Raises:
             SceneInvalid: The tile is not in the pool, or the arrays have other shapes.
         """
-        slots = self._held_slots(tile)[first_row // self.slot_rows :]
+        slots = self._slots_held_by_tile(tile)[first_row // self.slot_rows :]
         self._require_shapes(tile, rows, appearance)
         if first_row % self.slot_rows or len(rows) > len(slots) * self.slot_rows:
             raise SceneInvalid(
@@ -196,7 +196,7 @@ class SplatPool:
                 where=f"tile {tile}",
             )
         slots = slots[: -(-len(rows) // self.slot_rows)]
-        self._overwrite(slots, rows, appearance, origin)
+        self._overwrite_slots(slots, rows, appearance, origin)
 
     def stage(
         self,
@@ -225,7 +225,7 @@ class SplatPool:
             SceneInvalid: The tile is not in the pool, the rows do not fit the half of its slots,
                 or the arrays have other shapes.
         """
-        slots = self._held_slots(tile)
+        slots = self._slots_held_by_tile(tile)
         self._require_shapes(tile, rows, appearance)
         half, end_row = len(slots) // 2, first_row + len(rows)
         drawn, staged_slots = slots[:half], slots[half:]
@@ -237,7 +237,7 @@ class SplatPool:
                 where=f"tile {tile}",
             )
         part = staged_slots[first_row // self.slot_rows : -(-end_row // self.slot_rows)]
-        self._overwrite(part, rows, appearance, origin)
+        self._overwrite_slots(part, rows, appearance, origin)
         self.live[staged_slots] = 0
         if end_row == count:
             starts = self.slot_rows * np.arange(len(staged_slots))
@@ -277,9 +277,9 @@ class SplatPool:
                 box_highs[part].max(axis=0),
             )
             first = slot * self.slot_rows
-            self._writes.append(SlotWrite(first, rows[part], appearance[part]))
+            self._slot_writes.append(SlotWrite(first, rows[part], appearance[part]))
 
-    def _overwrite(
+    def _overwrite_slots(
         self,
         slots: list[int],
         rows: Float32[np.ndarray, "n 10"],
@@ -287,14 +287,14 @@ class SplatPool:
         origin: Float[np.ndarray, "3"],
     ) -> None:
         """Write rows into splat pool slots, and drop queued writes to the same slots."""
-        self._drop_writes(slots)
+        self._drop_slot_writes(slots)
         self._write(slots, rows, appearance, origin)
 
-    def _drop_writes(self, slots: list[int]) -> None:
+    def _drop_slot_writes(self, slots: list[int]) -> None:
         firsts = {slot * self.slot_rows for slot in slots}
-        self._writes = [write for write in self._writes if write.first not in firsts]
+        self._slot_writes = [write for write in self._slot_writes if write.first not in firsts]
 
-    def _held_slots(self, tile: int) -> list[int]:
+    def _slots_held_by_tile(self, tile: int) -> list[int]:
         if tile not in self._slots_of:
             raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
         return self._slots_of[tile]
@@ -305,12 +305,12 @@ class SplatPool:
         Raises:
             SceneInvalid: The tile is not in the pool.
         """
-        slots = self._held_slots(tile)
+        slots = self._slots_held_by_tile(tile)
         del self._slots_of[tile]
-        self._drop_writes(slots)
+        self._drop_slot_writes(slots)
         for slot in slots:
             self.live[slot] = self.fade[slot] = 0
-            heapq.heappush(self._free, slot)
+            heapq.heappush(self._free_slots, slot)
 
     def draw(self, fades: Mapping[int, float]) -> None:
         """Set the tiles of the splat pool that the next frames draw, each with an opacity factor.
@@ -320,11 +320,11 @@ class SplatPool:
         """
         self.fade[:] = 0
         for tile, fade in fades.items():
-            self.fade[self._held_slots(tile)] = fade
+            self.fade[self._slots_held_by_tile(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
         """Return and clear the splat pool's queue of Gaussians that a renderer has to upload."""
-        writes, self._writes = self._writes, []
+        writes, self._slot_writes = self._slot_writes, []
         return writes
 
     def locate(self, row: int) -> tuple[int, int]:

@@ -198,8 +198,10 @@ class _OutputBuffer:
     """Copies of a model output: one is drawn while the next frame fills another."""
 
     def __init__(self) -> None:
-        self._current_copy: np.ndarray | None = None
-        self._older_copies: deque[np.ndarray] = deque()  # copies before the shown one, oldest first
+        self._current_row_copy: np.ndarray | None = None
+        self._older_row_copies: deque[np.ndarray] = (
+            deque()
+        )  # copies before the shown one, oldest first
         self._live_rows = 0
 
     def take(
@@ -215,19 +217,22 @@ class _OutputBuffer:
         The copy stays valid until the call after the next, and for ``retained`` further calls. A
         constant output is not compared.
         """
-        old_array, live_count = self._current_copy, len(array) if live_rows is None else live_rows
+        old_array, live_count = (
+            self._current_row_copy,
+            len(array) if live_rows is None else live_rows,
+        )
         if (
             old_array is not None
             and live_count <= self._live_rows
             and (is_constant or _are_bits_equal(old_array[:live_count], array[:live_count]))
         ):
             return None
-        is_free = len(self._older_copies) > retained
-        new_array = self._older_copies.popleft() if is_free else np.zeros_like(array)
+        is_free = len(self._older_row_copies) > retained
+        new_array = self._older_row_copies.popleft() if is_free else np.zeros_like(array)
         new_array[:live_count] = array[:live_count]
         if old_array is not None:
-            self._older_copies.append(old_array)
-        self._current_copy, self._live_rows = new_array, live_count
+            self._older_row_copies.append(old_array)
+        self._current_row_copy, self._live_rows = new_array, live_count
         return new_array
 
 

@@ -59,9 +59,9 @@ class PlacedSource(Source):
         values: Values | None = None,
         where: str = "values",
     ) -> None:
-        self._inner, self._settings = inner, settings or DrawSettings()
+        self._wrapped_source, self._settings = inner, settings or DrawSettings()
         self._transform = np.array(transform, np.float64)
-        self._fixed_values = _by_name(inner, values or {}, where)
+        self._fixed_values = _values_by_name(inner, values or {}, where)
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._settings.antialias or inner.antialias
         self.weighted = None if self._settings.sorted else inner.weighted
@@ -93,32 +93,32 @@ class PlacedSource(Source):
     @property
     def count(self) -> int:
         """The number of Gaussians that the current frame of the file or model may draw."""
-        return self._inner.count
+        return self._wrapped_source.count
 
     @property
     def state(self) -> tuple[int, ...]:
         """Version numbers of a file's or model's data, which change when its Gaussians change."""
-        return self._inner.state
+        return self._wrapped_source.state
 
     @property
     def follows_camera(self) -> bool:
         """Whether the source of Gaussians computes a new frame when the camera moves."""
-        return self._inner.follows_camera
+        return self._wrapped_source.follows_camera
 
     @property
     def is_streaming(self) -> bool:
         """Whether Gaussians of a source may change although the camera stays, as in streaming."""
-        return self._inner.is_streaming
+        return self._wrapped_source.is_streaming
 
     @property
     def shortfall(self) -> SourceShortfall | None:
         """The parts of the placed source that the drawn frames lack; None if all is there."""
-        return self._inner.shortfall
+        return self._wrapped_source.shortfall
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
         """Statistics of a source of Gaussians for display in a viewer, as names and values."""
-        return self._inner.statistics
+        return self._wrapped_source.statistics
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
@@ -138,47 +138,49 @@ class PlacedSource(Source):
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Begin to compute a frame; the camera is converted to the local space of the Gaussians."""
         local = None if camera is None else local_camera(camera, self._transform)
-        self._inner.start(local, {**values, **self._fixed_values}, frame)
+        self._wrapped_source.start(local, {**values, **self._fixed_values}, frame)
 
     @property
     def ready(self) -> bool:
         """Whether the file or model has computed the frame that :meth:`start` requested."""
-        return self._inner.ready
+        return self._wrapped_source.ready
 
     def finish(self) -> None:
         """Wait for the frame that :meth:`start` requested; its Gaussians replace the last ones."""
-        self._inner.finish()
-        self.data, self.seconds = self._inner.data, self._inner.seconds
+        self._wrapped_source.finish()
+        self.data, self.seconds = self._wrapped_source.data, self._wrapped_source.seconds
 
     def abandon(self) -> None:
         """Wait for the frame that :meth:`start` requested, and discard its result or error."""
-        self._inner.abandon()
+        self._wrapped_source.abandon()
 
     def hold(self, frames: int) -> bool:
         """Keep the arrays of earlier frames unchanged; return whether the file or model can."""
-        return self._inner.hold(frames)
+        return self._wrapped_source.hold(frames)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Compute some frames, and set the scene extent to a box around all their Gaussians."""
-        self._inner.survey((frame, {**values, **self._fixed_values}) for frame, values in frames)
-        self.data, self.seconds = self._inner.data, self._inner.seconds
+        self._wrapped_source.survey(
+            (frame, {**values, **self._fixed_values}) for frame, values in frames
+        )
+        self.data, self.seconds = self._wrapped_source.data, self._wrapped_source.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input tensor of the model that computes the Gaussians."""
-        return self._inner.shape(name)
+        return self._wrapped_source.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the world-space centre of a box around most Gaussians, and half the diagonal."""
-        center, reach = self._inner.extent()
+        center, reach = self._wrapped_source.extent()
         linear, offset = self._transform[:3, :3], self._transform[:3, 3]
         return linear @ center + offset, reach * _scale(linear)
 
     def close(self) -> None:
         """Release the file or model that supplies the Gaussians."""
-        self._inner.close()
+        self._wrapped_source.close()
 
 
-def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
+def _values_by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
     """Convert names and input roles of model inputs to tensor names, the keys of input values."""
     known_names = {input_name for spec in source.inputs for input_name in (spec.name, spec.role)}
     by_name: dict[str, object] = {}

@@ -32,7 +32,7 @@ class Fields:
 
     def __init__(self, document: Mapping[str, object], where: str, separator: str = ".") -> None:
         self._document, self.where, self._separator = document, where, separator
-        self._known: list[str] = []
+        self._known_fields: list[str] = []
 
     def location(self, name: str) -> str:
         """Return the location of a scene file's field for error messages."""
@@ -48,28 +48,28 @@ class Fields:
 
     def unchecked_value(self, name: str) -> object:
         """Read a field of a scene file without a check; None if the field is absent."""
-        self._known.append(name)
+        self._known_fields.append(name)
         return self._document.get(name)
 
     def text(self, name: str) -> str | None:
         """Read a text field of a scene file; None if the field is absent."""
         value = self.unchecked_value(name)
         if value is not None and not isinstance(value, str):
-            self._mismatch(name, "text")
+            self._raise_field_mismatch(name, "text")
         return value
 
     def text_or(self, name: str, kind: type[Alternative], title: str) -> str | Alternative | None:
         """Read a field of a scene file that is a text or of another given type."""
         value = self.unchecked_value(name)
         if value is not None and not isinstance(value, str | kind):
-            self._mismatch(name, f"text or {title}")
+            self._raise_field_mismatch(name, f"text or {title}")
         return value
 
     def required_text(self, name: str) -> str:
         """Read a text field of a scene file that must be present and not empty."""
         value = self.unchecked_value(name)
         if not isinstance(value, str) or not value:
-            self._mismatch(name, "text")
+            self._raise_field_mismatch(name, "text")
         return str(value)
 
     def number(
@@ -80,11 +80,13 @@ class Fields:
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self._mismatch(name, "a number")
+            self._raise_field_mismatch(name, "a number")
         if not low <= value <= high:
             least = f"from {low:g}" if low > -_MAX_NUMBER else ""
             upper_limit = f"to {high:g}" if high < _MAX_NUMBER else ""
-            self._mismatch(name, " ".join(filter(None, ["a finite number", least, upper_limit])))
+            self._raise_field_mismatch(
+                name, " ".join(filter(None, ["a finite number", least, upper_limit]))
+            )
         return float(value)
 
     def integer(self, name: str, *, low: int, high: int) -> int | None:
@@ -93,7 +95,7 @@ class Fields:
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            self._mismatch(name, f"a whole number from {low} to {high}")
+            self._raise_field_mismatch(name, f"a whole number from {low} to {high}")
         return int(value)
 
     def side(self, name: str) -> int | None:
@@ -105,7 +107,7 @@ class Fields:
         value = self.unchecked_value(name)
         if value is not None and value not in known:
             if not isinstance(value, str):
-                self._mismatch(name, " or ".join(known))
+                self._raise_field_mismatch(name, " or ".join(known))
             raise UnknownName.among("word", value, known, self.location(name))
         return next((choice_text for choice_text in known if choice_text == value), None)
 
@@ -121,11 +123,11 @@ class Fields:
         try:
             array = np.array(value)
         except ValueError:  # rows of several lengths
-            self._mismatch(name, expected)
+            self._raise_field_mismatch(name, expected)
         if array.dtype.kind not in "if" or array.shape not in shapes:
-            self._mismatch(name, expected)
+            self._raise_field_mismatch(name, expected)
         if not (np.abs(array) <= _MAX_NUMBER).all():
-            self._mismatch(name, f"{expected} that are finite")
+            self._raise_field_mismatch(name, f"{expected} that are finite")
         return array.astype(np.float64)
 
     def mapping(self, name: str) -> Mapping[str, np.ndarray]:
@@ -134,7 +136,7 @@ class Fields:
         if value is None:
             return {}
         if not isinstance(value, dict):
-            self._mismatch(name, "an object")
+            self._raise_field_mismatch(name, "an object")
         return {key: self._values(f"{name}.{key}", value) for key, value in value.items()}
 
     def _values(self, name: str, value: object) -> np.ndarray:
@@ -150,14 +152,14 @@ class Fields:
         """Return a reader of the fields of a nested JSON object in a scene file."""
         value = self.unchecked_value(name)
         if not isinstance(value, dict):
-            self._mismatch(name, "an object")
+            self._raise_field_mismatch(name, "an object")
         return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
         """Yield a field reader for each object in a list; a string means an object's path."""
         entries = self.unchecked_value(name)
         if entries is not None and not isinstance(entries, list):
-            self._mismatch(name, "a list")
+            self._raise_field_mismatch(name, "a list")
         for index, entry in enumerate(entries or []):
             where = f"{self.location(name)}[{index}]"
             document = {"path": entry} if isinstance(entry, str) else entry
@@ -168,10 +170,10 @@ class Fields:
     def close(self) -> None:
         """Raise if a field of a scene file's JSON object is unknown, that is, was never read."""
         for name in self._document:
-            if name not in self._known:
-                raise UnknownName.among("field", name, set(self._known), self.where)
+            if name not in self._known_fields:
+                raise UnknownName.among("field", name, set(self._known_fields), self.where)
 
-    def _mismatch(self, name: str, expected: str) -> NoReturn:
+    def _raise_field_mismatch(self, name: str, expected: str) -> NoReturn:
         if name not in self._document:
             refuse(f"is missing, expected {expected}", self.location(name))
         refuse(f"is {_shorten(self._document[name])}, expected {expected}", self.location(name))

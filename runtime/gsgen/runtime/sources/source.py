@@ -304,7 +304,7 @@ class GeneratorSource(Source):
         appearance = manifest.outputs.appearance
         assert appearance is not None  # the worker requires both outputs
         self._space, self.color_space = appearance.space, appearance.color_space
-        self._pending: tuple[int, Future[FrameDelta]] | None = None
+        self._pending_frame: tuple[int, Future[FrameDelta]] | None = None
         try:
             self.update(None, {})
         except BaseException:
@@ -314,20 +314,20 @@ class GeneratorSource(Source):
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Begin to run the ONNX generator for a frame."""
         self.abandon()
-        self._pending = frame, self._worker.start(camera, values)
+        self._pending_frame = frame, self._worker.start(camera, values)
 
     @property
     def ready(self) -> bool:
         """Whether the ONNX generator has computed the frame that :meth:`start` requested."""
-        return self._pending is None or self._pending[1].done()
+        return self._pending_frame is None or self._pending_frame[1].done()
 
     def finish(self) -> None:
         """Wait for the ONNX generator, and copy its changed outputs."""
-        if self._pending is None:
+        if self._pending_frame is None:
             return
-        (frame, future), self._pending = self._pending, None
+        (frame, future), self._pending_frame = self._pending_frame, None
         try:
-            self._take(future.result())
+            self._apply_delta(future.result())
         except GsgenError as error:
             raise locate_in_frame(error, self.name, frame) from error
         except KeyboardInterrupt:
@@ -340,17 +340,17 @@ class GeneratorSource(Source):
 
     def abandon(self) -> None:
         """Wait for the pending run of the ONNX generator, and discard its result or error."""
-        if self._pending is not None:
-            (_, future), self._pending = self._pending, None
+        if self._pending_frame is not None:
+            (_, future), self._pending_frame = self._pending_frame, None
             if future.exception() is None:
-                self._take(future.result())
+                self._apply_delta(future.result())
 
     def hold(self, frames: int) -> bool:
         """Keep the ONNX generator's outputs of some frames before the present one."""
         self._worker.hold(frames)
         return True
 
-    def _take(self, delta: FrameDelta) -> None:
+    def _apply_delta(self, delta: FrameDelta) -> None:
         self.seconds = delta.seconds
         if hasattr(self, "data"):
             self.data.update(delta.rows, delta.appearance, delta.count, cells=delta.cells)

@@ -45,14 +45,14 @@ class Controls:
         self, initial_camera: Camera, up: Vector, center: Vector, scene_radius: float
     ) -> None:
         self._initial_camera = initial_camera
-        self._up = np.asarray(up, np.float64) / np.linalg.norm(up)
+        self._up_direction = np.asarray(up, np.float64) / np.linalg.norm(up)
         self._center, self._scene_radius = np.asarray(center, np.float64), scene_radius
         self.reset()
 
     def reset(self) -> None:
         """Reset the camera to its first position and direction."""
         self._rotation = self._initial_camera.view[:3, :3].copy()  # world → camera
-        self._zoom = 1.0
+        self._zoom_factor = 1.0
         ahead = float(self._rotation[2] @ (self._center - self._initial_camera.eye))
         self._distance = ahead if ahead > _MIN_DISTANCE * self._scene_radius else self._scene_radius
         if self._initial_camera.kind == "panorama":
@@ -76,8 +76,8 @@ class Controls:
         return replace(
             initial_camera,
             view=view,
-            fx=initial_camera.fx * scale * self._zoom,
-            fy=initial_camera.fy * scale * self._zoom,
+            fx=initial_camera.fx * scale * self._zoom_factor,
+            fy=initial_camera.fy * scale * self._zoom_factor,
             cx=width / 2 + (initial_camera.cx - initial_camera.width / 2) * scale,
             cy=height / 2 + (initial_camera.cy - initial_camera.height / 2) * scale,
             width=width,
@@ -99,9 +99,9 @@ class Controls:
 
     def _rotate(self, yaw: float, pitch: float) -> None:
         """Rotate the camera about the upward direction, then about its horizontal axis."""
-        rotation = self._rotation @ _rotation(self._up, yaw)
+        rotation = self._rotation @ _rotation(self._up_direction, yaw)
         # The angle to the upward direction avoids the poles, where the view would flip.
-        angle = math.acos(float(np.clip(rotation[2] @ self._up, -1, 1)))
+        angle = math.acos(float(np.clip(rotation[2] @ self._up_direction, -1, 1)))
         target = float(np.clip(angle + pitch, min(angle, _POLE), max(angle, math.pi - _POLE)))
         rotation = rotation @ _rotation(rotation[0], target - angle)
         # The matrix is orthogonalised, so that rounding errors of many drags do not add up.
@@ -119,7 +119,7 @@ class Controls:
         """Zoom by a mouse wheel amount: in if negative, out if positive; 100 is one notch."""
         factor = math.exp(float(np.clip(amount * _ZOOM_PER_WHEEL_UNIT, -5, 5)))
         if self._initial_camera.kind == "orthographic":
-            self._zoom = float(np.clip(self._zoom / factor, 1e-4, 1e4))
+            self._zoom_factor = float(np.clip(self._zoom_factor / factor, 1e-4, 1e4))
         elif self._initial_camera.kind == "pinhole":
             low, high = _MIN_DISTANCE * self._scene_radius, 1e4 * self._scene_radius
             self._distance = float(np.clip(self._distance * factor, low, high))
@@ -144,14 +144,14 @@ class Controls:
         distance = float(np.linalg.norm(ahead))
         if not distance > _MIN_DISTANCE * self._scene_radius:
             return
-        if np.linalg.norm(np.cross(ahead / distance, self._up)) > math.sin(_POLE):
-            self._rotation = look_at(eye, np.asarray(point, np.float64), self._up)[:3, :3]
+        if np.linalg.norm(np.cross(ahead / distance, self._up_direction)) > math.sin(_POLE):
+            self._rotation = look_at(eye, np.asarray(point, np.float64), self._up_direction)[:3, :3]
         self._distance, self.pivot = distance, np.asarray(point, np.float64)
 
     def frame(self) -> None:
         """Move the camera until the whole scene is in view, without turning it."""
         initial_camera = self._initial_camera
-        self.pivot, self._zoom = self._center.copy(), 1.0
+        self.pivot, self._zoom_factor = self._center.copy(), 1.0
         if initial_camera.kind == "pinhole":
             half = math.atan(
                 min(

@@ -64,7 +64,7 @@ class Slider:
     def _edge_margin(self) -> int:
         return round(_MARGIN_PIXELS * self.ratio)
 
-    def _track_ends(self) -> tuple[float, float]:
+    def _slider_track_ends(self) -> tuple[float, float]:
         """Return both ends of the time slider's track, in pixels from the left of its panel."""
         width = self.size[0]
         return min(34 * self.ratio, width / 2), max(width - 130 * self.ratio, width / 2 + 1)
@@ -76,16 +76,16 @@ class Slider:
 
     def is_on_button(self, x: float) -> bool:
         """Return whether a point of the time slider's panel is on the play button."""
-        return x - self.corner[0] < self._track_ends()[0] - 6 * self.ratio
+        return x - self.corner[0] < self._slider_track_ends()[0] - 6 * self.ratio
 
     def fraction(self, x: float) -> float:
         """Return the position of a point along the time slider's track, from 0 to 1."""
-        low, high = self._track_ends()
+        low, high = self._slider_track_ends()
         return float(np.clip((x - self.corner[0] - low) / (high - low), 0, 1))
 
     def picture(self, fraction: float, label: str, *, playing: bool) -> UInt8[np.ndarray, "h w 4"]:
         """Draw the time slider, with the knob at a ``fraction`` and a label at the end."""
-        (width, height), ratio, (low, high) = self.size, self.ratio, self._track_ends()
+        (width, height), ratio, (low, high) = self.size, self.ratio, self._slider_track_ends()
         image, draw = _blank_panel(width, height, ratio)
         middle, knob_radius = height / 2, 6 * ratio
         draw.line((low, middle, high, middle), _GREY_RGBA, max(1, round(2 * ratio)))

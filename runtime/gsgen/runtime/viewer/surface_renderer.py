@@ -67,7 +67,7 @@ class SurfaceRenderer:
         self.renderer = Renderer(
             self._open_device(), rasteriser=self._rasteriser, compact=self._compact
         )
-        self._present: PresentPass | None = None
+        self._present_pass: PresentPass | None = None
         self._configured_context: WgpuContext | None = None
         self._last_view: tuple[object, View] | None = None
         self.drawn: DrawnImage | None = None
@@ -95,15 +95,18 @@ class SurfaceRenderer:
     def _show(
         self, device: Device, context: "WgpuContext", view: View | None, panels: Sequence[Panel]
     ) -> None:
-        if self._present is None or self._configured_context is not context:
+        if self._present_pass is None or self._configured_context is not context:
             # The shader encodes sRGB itself, so that panels are blended in sRGB.
             preferred = context.get_preferred_format(device.raw.adapter)
             surface_format = preferred.removesuffix("-srgb")
             if context.get_configuration() is not None:
                 context.unconfigure()  # its texture belongs to a lost device
             context.configure(device=device.raw, format=surface_format)
-            self._present, self._configured_context = PresentPass(device, surface_format), context
-        self._present(context.get_current_texture(), view, panels)
+            self._present_pass, self._configured_context = (
+                PresentPass(device, surface_format),
+                context,
+            )
+        self._present_pass(context.get_current_texture(), view, panels)
 
     def _draw(self, playback: LivePlayback, request: ViewRequest) -> View:
         camera, output = request.camera, PICTURE_MODES[request.mode]

@@ -91,11 +91,11 @@ class Viewer:
         self._open_files, self._clock = open_files, clock
         self.message, self.closed = "", False
         self._overlay = Overlay()
-        self._held_keys: frozenset[str] = frozenset()
+        self._pressed_keys: frozenset[str] = frozenset()
         self._drag_button: int | None = None
-        self._is_sliding = self._is_shift_held = False
+        self._is_moving_slider = self._is_shift_held = False
         self._pointer, self._ratio, self._size = (0.0, 0.0), 1.0, (1, 1)
-        self._last_draw = clock()
+        self._last_draw_time = clock()
         self.controls = self._make_controls()
 
     def _make_controls(self) -> Controls:
@@ -111,7 +111,7 @@ class Viewer:
         try:
             return self._draw(context)
         except DeviceLost:
-            self._recover()
+            self._recover_device()
         try:
             return self._draw(context)
         except DeviceLost as error:
@@ -120,17 +120,17 @@ class Viewer:
                 hint="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
             ) from error
 
-    def _recover(self) -> None:
+    def _recover_device(self) -> None:
         self._renderer.recover()
         self.message = "The graphics device was lost. It was opened again."
 
     def _draw(self, context: "WgpuContext") -> bool:
         # Step 1: let time pass, for the flight of the camera and for the playback.
         now = self._clock()
-        elapsed, self._last_draw = min(now - self._last_draw, _MAX_STEP), now
+        elapsed, self._last_draw_time = min(now - self._last_draw_time, _MAX_STEP), now
         width, height = context.physical_size
         self._size = (max(1, width), max(1, height))
-        is_flying = self.controls.fly(self._held_keys, elapsed, is_fast=self._is_shift_held)
+        is_flying = self.controls.fly(self._pressed_keys, elapsed, is_fast=self._is_shift_held)
         self.playback.advance(elapsed)
         # Step 2: take the frame that was computed, and begin the current one. A file, or a quick
         # model, is ready at once.
@@ -169,7 +169,7 @@ class Viewer:
         try:
             action()
         except DeviceLost:
-            self._recover()
+            self._recover_device()
         except GsgenError as error:
             self.message = str(error)
 
@@ -254,7 +254,7 @@ class Viewer:
         if "Control" in event.get("modifiers", ()):
             return
         if key in CAMERA_KEYS:
-            self._held_keys |= {key}
+            self._pressed_keys |= {key}
         elif key in _MODE_BY_KEY:
             self.mode = _MODE_BY_KEY[key]
         elif key == "Escape":  # it closes the help first
@@ -264,7 +264,7 @@ class Viewer:
 
     def _key_up(self, event: Event) -> None:
         key = str(event["key"])
-        self._held_keys -= {key.lower() if len(key) == 1 else key}
+        self._pressed_keys -= {key.lower() if len(key) == 1 else key}
         self._is_shift_held = self._is_shift_held and key != "Shift"
 
     def _pointer_down(self, event: Event) -> None:
@@ -275,7 +275,7 @@ class Viewer:
             if slider.is_on_button(x):
                 self._toggle_playing()
             else:
-                self._is_sliding = True
+                self._is_moving_slider = True
                 self._move_slider(x)
             return
         self._drag_button = int(event["button"])
@@ -285,7 +285,7 @@ class Viewer:
         (x, y), self._pointer = self._pointer, (event["x"], event["y"])
         right, down = self._pointer[0] - x, self._pointer[1] - y
         is_shift_drag = self._drag_button == _LEFT_BUTTON and self._is_shift_held
-        if self._is_sliding:
+        if self._is_moving_slider:
             self._move_slider(self._surface_position()[0])
         elif self._drag_button == _MIDDLE_BUTTON or is_shift_drag:
             self.controls.pan(right * self._ratio, down * self._ratio, *self._size)
@@ -295,7 +295,7 @@ class Viewer:
             self.controls.look(right, down)
 
     def _pointer_up(self, event: Event) -> None:
-        self._drag_button, self._is_sliding = None, False
+        self._drag_button, self._is_moving_slider = None, False
 
     def _double_click(self, event: Event) -> None:
         self._pointer = (event["x"], event["y"])
@@ -348,7 +348,7 @@ class Viewer:
         self.playback.settle(camera)
         frame = self._renderer.frame(self.playback, self._request(camera))
         depths = self.playback.depths(camera)
-        path = _unused_path(self._folder)
+        path = _unused_screenshot_path(self._folder)
         pictures.save_picture(path, pictures.picture_of(frame, self.mode, depths))
         file = path.with_suffix(".json")
         with atomic_write(file) as draft:
@@ -396,7 +396,7 @@ def _next_choice(choices: Sequence[Choice], current: Choice) -> Choice:
     return choices[(choices.index(current) + 1) % len(choices)]
 
 
-def _unused_path(folder: Path) -> Path:
+def _unused_screenshot_path(folder: Path) -> Path:
     """Return the first of ``view_001.png``, … whose picture and camera file do not exist yet."""
     number = 1
     while any(

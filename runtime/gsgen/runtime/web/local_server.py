@@ -59,8 +59,8 @@ class LocalServer(ThreadingHTTPServer):
         self.cors = frozenset(cors)
         self._names = {"localhost", host.lower(), socket.gethostname().lower()}
         self._lock = Lock()
-        self._waiting: dict[socket.socket, None] = {}  # for a request; the longest first
-        self._answering: set[socket.socket] = set()
+        self._waiting_sockets: dict[socket.socket, None] = {}  # for a request; the longest first
+        self._answering_sockets: set[socket.socket] = set()
         super().__init__((host, port), handler)
 
     def server_bind(self) -> None:
@@ -78,36 +78,36 @@ class LocalServer(ThreadingHTTPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer a connection on a thread; where there are too many, close the idlest."""
         with self._lock:
-            if len(self._waiting) + len(self._answering) >= _MAX_CONNECTIONS:
-                idlest = next(iter(self._waiting), request)
+            if len(self._waiting_sockets) + len(self._answering_sockets) >= _MAX_CONNECTIONS:
+                idlest = next(iter(self._waiting_sockets), request)
                 with suppress(OSError):  # the client closed it already
                     idlest.shutdown(socket.SHUT_RDWR)  # its thread ends
-                self._waiting.pop(idlest, None)
-            self._waiting[request] = None
+                self._waiting_sockets.pop(idlest, None)
+            self._waiting_sockets[request] = None
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         """Forget and close a connection."""
         with self._lock:
-            self._waiting.pop(request, None)
-            self._answering.discard(request)
+            self._waiting_sockets.pop(request, None)
+            self._answering_sockets.discard(request)
         super().shutdown_request(request)
 
     def set_answering(self, connection: socket.socket, *, is_answering: bool) -> None:
         """Note whether a connection is being answered, or waits for its next request."""
         with self._lock:
-            self._waiting.pop(connection, None)
-            self._answering.discard(connection)
+            self._waiting_sockets.pop(connection, None)
+            self._answering_sockets.discard(connection)
             if is_answering:
-                self._answering.add(connection)
+                self._answering_sockets.add(connection)
             else:
-                self._waiting[connection] = None
+                self._waiting_sockets[connection] = None
 
     def server_close(self) -> None:
         """Stop listening, and close all connections."""
         super().server_close()
         with self._lock:
-            for connection in (*self._waiting, *self._answering):
+            for connection in (*self._waiting_sockets, *self._answering_sockets):
                 with suppress(OSError):  # the client closed it already
                     connection.shutdown(socket.SHUT_RDWR)
 

@@ -184,7 +184,7 @@ def build_tileset(
     _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
-    return _finish(plan, key, skipped, generators)
+    return _write_build_report(plan, key, skipped, generators)
 
 
 def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
@@ -207,7 +207,9 @@ def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
         run.phase("top", 0, run_parent_cell, items)
 
 
-def _finish(plan: Plan, key: str, skipped: int, generators: Sequence[Generator]) -> BuildReport:
+def _write_build_report(
+    plan: Plan, key: str, skipped: int, generators: Sequence[Generator]
+) -> BuildReport:
     output = Path(plan.output)
     (root,) = load_built(plan)
     files = write_index(plan, root, key, generators)

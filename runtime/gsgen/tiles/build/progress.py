@@ -52,8 +52,8 @@ class JsonProgress(Progress):
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
-        self._phase, self._total, self._splats_done = "", 0, 0
-        self._start_time = self._written = time.monotonic()
+        self._phase_name, self._total, self._splats_done = "", 0, 0
+        self._start_time = self._last_write_time = time.monotonic()
 
     def __enter__(self) -> "JsonProgress":
         return self
@@ -62,33 +62,33 @@ class JsonProgress(Progress):
 
     def begin(self, phase: str, total: int) -> None:
         """Write a JSON line for the beginning of a phase of a tileset build."""
-        self._phase, self._total, self._splats_done = phase, total, 0
+        self._phase_name, self._total, self._splats_done = phase, total, 0
         self._start_time = time.monotonic()
         self._line()
 
     def advance(self, splats: int) -> None:
         """Write the build's progress as a JSON line, once a second and when all splats are done."""
         self._splats_done += splats
-        if self._splats_done == self._total or time.monotonic() - self._written >= 1:
+        if self._splats_done == self._total or time.monotonic() - self._last_write_time >= 1:
             self._line()
 
     def note(self, message: str) -> None:
         """Write a message about a tileset build as a JSON line."""
-        self._emit({"event": "note", "message": message})
+        self._emit_event({"event": "note", "message": message})
 
     def _line(self) -> None:
-        self._written = time.monotonic()
-        elapsed = self._written - self._start_time
+        self._last_write_time = time.monotonic()
+        elapsed = self._last_write_time - self._start_time
         rate = self._splats_done / elapsed if elapsed > 0 else 0.0
         event: JsonDict = {
             "event": "progress",
-            "phase": self._phase,
+            "phase": self._phase_name,
             "done": self._splats_done,
             "total": self._total,
             "splats_per_second": round(rate),
             "eta_seconds": round((self._total - self._splats_done) / rate, 1) if rate else None,
         }
-        self._emit(event)
+        self._emit_event(event)
 
-    def _emit(self, event: JsonDict) -> None:
+    def _emit_event(self, event: JsonDict) -> None:
         self._write(json.dumps(event))

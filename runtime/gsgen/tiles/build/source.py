@@ -94,7 +94,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
         InputUnreadable: A file is missing, damaged or holds something else than splats.
         ConfigInvalid: Files disagree on the colour space or on antialiasing.
     """
-    files = [_opened(path) for path in paths]
+    files = [_open_scene_file(path) for path in paths]
     first = files[0]
     for file in files:
         for name in ("color_space", "antialiased", "up"):
@@ -108,7 +108,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
     return files
 
 
-def _opened(path: Path) -> SceneFile:
+def _open_scene_file(path: Path) -> SceneFile:
     try:
         if path.name == STANDARD_INPUT and not path.exists():
             raise NotSupported(
@@ -124,7 +124,7 @@ def _opened(path: Path) -> SceneFile:
         if table is None:
             return _decoded(path, status.st_size, status.st_mtime_ns)
     except FormatError as error:
-        raise _unreadable(error) from error
+        raise _unreadable_input_error(error) from error
     except OSError as error:
         raise InputUnreadable(
             f"cannot be read: {error.strerror or error}", where=str(path)
@@ -154,7 +154,7 @@ def _is_ply(path: Path) -> bool:
 
 
 def _decoded(path: Path, size: int, modified: int) -> SceneFile:
-    splats = _whole(path)
+    splats = _read_whole_file(path)
     return SceneFile(
         path=str(path),
         count=len(splats),
@@ -168,7 +168,7 @@ def _decoded(path: Path, size: int, modified: int) -> SceneFile:
     )
 
 
-def _whole(path: Path) -> Splats:
+def _read_whole_file(path: Path) -> Splats:
     content = open_splats(path, drop_invalid=True)
     if isinstance(content, PackedRows):
         return splats_of_rows(content)
@@ -181,7 +181,7 @@ def _whole(path: Path) -> Splats:
     return content
 
 
-def _unreadable(error: FormatError) -> InputUnreadable:
+def _unreadable_input_error(error: FormatError) -> InputUnreadable:
     expected = f"; expected {error.expected}" if error.expected else ""
     where = ": ".join(part for part in (error.path, error.where) if part)
     return InputUnreadable(f"{error.message}{expected}", where=where, hint=error.hint)
@@ -212,10 +212,10 @@ def read_chunk(chunk: Chunk) -> Splats:
         if chunk.file.table is None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", FormatWarning)  # opening the file has said it
-                return _whole(Path(chunk.file.path))
+                return _read_whole_file(Path(chunk.file.path))
         return read_ply_rows(chunk.file.path, chunk.file.table, chunk.first, chunk.count)
     except FormatError as error:
-        raise _unreadable(error) from error
+        raise _unreadable_input_error(error) from error
 
 
 def row_dtype(degree: int) -> np.dtype[Any]:

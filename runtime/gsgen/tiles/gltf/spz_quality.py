@@ -80,9 +80,9 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
         local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=settings.sh_bits
     )
     for name, bits in settings.bits.items():
-        content[name] = _rounded(content[name], bits, least=int(name == _ALPHA_STREAM))
+        content[name] = _round_to_bits(content[name], bits, least=int(name == _ALPHA_STREAM))
     if local.degree == 0:
-        content = _reordered(content, _packing_order(content))
+        content = _reorder_rows(content, _packing_order(content))
     frame = container.Frame(
         version=SPZ_VERSION,
         count=len(local),
@@ -123,7 +123,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, is_finest: bool) -> int
     return max(0, min(fine_bits, room, _MAX_BITS))
 
 
-def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
+def _round_to_bits(data: bytes, bits: int, *, least: int) -> bytes:
     """Round each byte of SPZ data to ``bits`` leading bits; nonzero bytes stay ≥ ``least``.
 
     The results are multiples of 2^(8 − bits), or 255.
@@ -149,7 +149,7 @@ def _packing_order(content: Mapping[str, bytes]) -> Int64[np.ndarray, " n"]:
     return np.lexsort([*coordinates.T, *scales.T[::-1]])
 
 
-def _reordered(content: Mapping[str, bytes], order: Int64[np.ndarray, " n"]) -> dict[str, bytes]:
+def _reorder_rows(content: Mapping[str, bytes], order: Int64[np.ndarray, " n"]) -> dict[str, bytes]:
     """Return SPZ attribute streams whose rows are in ``order``."""
     rows = {
         name: np.frombuffer(data, np.uint8).reshape(len(order), -1)

@@ -91,10 +91,10 @@ def describe_tileset(source: str | Path) -> TilesetInfo:
     store, index = open_store(source)
     with store:
         tileset = load_tileset(store, index, name=str(source))
-        return _describe(store, tileset)
+        return _describe_loaded_tileset(store, tileset)
 
 
-def _describe(store: Store, tileset: Tileset) -> TilesetInfo:
+def _describe_loaded_tileset(store: Store, tileset: Tileset) -> TilesetInfo:
     profile = tileset.metadata
     known: dict[str, _MeasuredFile] = {}
     levels: dict[int, list[tuple[Tile, _MeasuredFile]]] = {}

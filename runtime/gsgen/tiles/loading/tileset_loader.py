@@ -149,7 +149,10 @@ class _Loader:
         volume = read_volume(entry.child("boundingVolume"))
         local_transform = self._transform(entry) if own_transform is None else own_transform
         transform = parent.transform @ local_transform
-        error, refine = entry.number("geometricError", least=0), self._read_refine(entry, parent)
+        error, refine = (
+            entry.number("geometricError", least=0),
+            self._read_refine_mode(entry, parent),
+        )
         tile = Tile(
             location=entry.location,
             volume=volume,
@@ -158,7 +161,7 @@ class _Loader:
             transform=transform,
             level=parent.level,
             metadata=_properties(entry.optional("metadata")),
-            neural=self._neural(entry, document),
+            neural=self._read_neural_tile(entry, document),
         )
         if "implicitTiling" in entry:
             return self._implicit(entry, tile, document)
@@ -190,7 +193,7 @@ class _Loader:
                 expected="fewer",
             )
 
-    def _read_refine(self, entry: JsonObject, parent: _Parent) -> RefineMode:
+    def _read_refine_mode(self, entry: JsonObject, parent: _Parent) -> RefineMode:
         refine = entry.values.get("refine", parent.refine)
         if refine == "ADD":
             return "ADD"
@@ -299,7 +302,7 @@ class _Loader:
         source = self._documents.describe(uri, inner, document.parent_paths)
         return self._tile(inner.child("root"), source, below)
 
-    def _neural(self, entry: JsonObject, document: Document) -> NeuralTile | None:
+    def _read_neural_tile(self, entry: JsonObject, document: Document) -> NeuralTile | None:
         extensions = entry.optional("extensions")
         if extensions is None or NEURAL not in extensions:
             return None

@@ -42,7 +42,7 @@ class TrajectoryModel:
         entry = next(entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT)
         self.name, self.steps = str(path), future.steps
         self.step_seconds, self.history = manifest.step_seconds, (entry.shape or (1,))[0]
-        self._width = STATE_SIZES[future.representation]
+        self._state_width = STATE_SIZES[future.representation]
         self._input, self._output = entry.name, future.name
         self._session = session
 
@@ -104,7 +104,7 @@ class TrajectoryModel:
             raise
         except GsgenError as error:
             raise InputUnreadable(f"the model fails: {error.message}", where=self.name) from error
-        shape = (self.steps, self._width)
+        shape = (self.steps, self._state_width)
         hint = f"Check it with: gsgen validate {for_shell(self.name)}"
         if future.shape != shape:
             raise InputUnreadable(
@@ -120,13 +120,13 @@ class TrajectoryModel:
 
     def state(self, pose: Pose) -> Float64[np.ndarray, " s"]:
         """Convert a camera pose to a state vector of the trajectory model."""
-        if self._width == 7:
+        if self._state_width == 7:
             return np.concatenate([pose.position, pose.quaternion])
         return np.concatenate([pose.position, rotation_vector(pose.quaternion)])
 
     def pose(self, time: float, state: Float64[np.ndarray, " s"]) -> Pose:
         """Convert a state vector of the trajectory model to a camera pose."""
-        if self._width == 7:
+        if self._state_width == 7:
             return Pose(time, state[:3], state[3:] / max(float(np.linalg.norm(state[3:])), 1e-12))
         return Pose(time, state[:3], rotation_quaternion(state[3:]))
 

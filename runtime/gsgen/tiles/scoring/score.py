@@ -127,14 +127,14 @@ def score_tileset(
         cameras = _cameras(splats, tileset.up, width, height)
         progress("drawing the scene")
         expected = _draw(renderer, splats, cameras)
-        pictures = {"scene": _first(expected)}
+        pictures = {"scene": _first_picture_by_level(expected)}
         levels = []
         for level in range(_depth(tileset) + 1):
             progress(f"drawing level {level} of {_depth(tileset)}")
             cut = list(level_cut(tileset.root, level))
             drawn, size = _read(store, tileset, cut)
             renders = _draw(renderer, drawn, cameras)
-            pictures[f"level {level}"] = _first(renders)
+            pictures[f"level {level}"] = _first_picture_by_level(renders)
             levels.append(
                 LevelScore(
                     level=level,
@@ -249,7 +249,7 @@ def _draw(
     return pictures
 
 
-def _first(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
+def _first_picture_by_level(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
     return {name: views[0] for name, views in pictures.items()}
 
 

@@ -72,16 +72,16 @@ class NetworkFaults:
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
     _lock: Lock = field(default_factory=Lock)
-    _random: random.Random = field(init=False)
-    _free_at: float = 0.0
+    _random_source: random.Random = field(init=False)
+    _link_free_time: float = 0.0
 
     def __post_init__(self) -> None:
-        self._random = random.Random(self.seed)
+        self._random_source = random.Random(self.seed)
 
     def choose(self) -> Failure | None:
         """Return the simulated failure of the next response; None if it succeeds."""
         with self._lock:
-            value = self._random.random()
+            value = self._random_source.random()
         for rule in self.failures:
             if value < rule.share:
                 return rule.failure
@@ -99,6 +99,6 @@ class NetworkFaults:
             return
         with self._lock:
             now = self.clock()
-            self._free_at = max(self._free_at, now) + count / self.bytes_per_second
-            wait = self._free_at - now
+            self._link_free_time = max(self._link_free_time, now) + count / self.bytes_per_second
+            wait = self._link_free_time - now
         self.sleep(wait)

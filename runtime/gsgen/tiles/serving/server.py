@@ -110,7 +110,7 @@ class _Handler(LocalHandler):
         faults.wait_to_begin()
         failure = faults.choose()
         if isinstance(failure, int):
-            self._refuse(HTTPStatus(failure), with_body=with_body)
+            self._send_refusal(HTTPStatus(failure), with_body=with_body)
             return
         if failure == "stall":
             faults.sleep(_STALL_SECONDS)
@@ -118,7 +118,7 @@ class _Handler(LocalHandler):
             return
         stream = self._open_file()
         if stream is None:
-            self._refuse(HTTPStatus.NOT_FOUND, with_body=with_body)
+            self._send_refusal(HTTPStatus.NOT_FOUND, with_body=with_body)
             return
         with stream:
             self._answer_from(stream, with_body=with_body, cut=failure == "cut")
@@ -130,9 +130,9 @@ class _Handler(LocalHandler):
         if etag in (self.headers.get("If-None-Match") or ""):
             self._head(HTTPStatus.NOT_MODIFIED, file, etag, [])
             return
-        span = self._span(status.st_size, etag)
+        span = self._requested_byte_span(status.st_size, etag)
         if span is None:
-            self._refuse(
+            self._send_refusal(
                 HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
                 with_body=with_body,
                 headers=[("Content-Range", f"bytes */{status.st_size}")],
@@ -152,18 +152,18 @@ class _Handler(LocalHandler):
         """Open the requested file; None if it is hidden, or not a readable file in the folder."""
         path = unquote(urlsplit(self.path).path, errors="surrogateescape")
         parts = (path.removeprefix("/") or "index.html").split("/")
-        if not all(map(_is_served, parts)):
+        if not all(map(_is_served_name, parts)):
             return None
         try:
             file = self.server.folder.joinpath(*parts)
             resolved = file.resolve().relative_to(self.server.folder)
             is_regular = stat.S_ISREG(file.stat().st_mode)
-            is_open = is_regular and all(map(_is_served, resolved.parts))
+            is_open = is_regular and all(map(_is_served_name, resolved.parts))
             return file.open("rb") if is_open else None
         except (OSError, ValueError):
             return None
 
-    def _span(self, size: int, etag: str) -> _ByteSpan | None:
+    def _requested_byte_span(self, size: int, etag: str) -> _ByteSpan | None:
         """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
         match = _RANGE_PATTERN.match(self.headers.get("Range") or "")
         if_range = self.headers.get("If-Range")
@@ -199,7 +199,7 @@ class _Handler(LocalHandler):
     def _log(self, status: HTTPStatus) -> None:
         self.server.log(f"{status.value} {printable(self.path)}")
 
-    def _refuse(
+    def _send_refusal(
         self, status: HTTPStatus, *, with_body: bool, headers: list[tuple[str, str]] | None = None
     ) -> None:
         body = f"{status.value} {status.phrase}\n".encode()
@@ -231,7 +231,7 @@ class _Handler(LocalHandler):
             self.close_connection = True
 
 
-def _is_served(name: str) -> bool:
+def _is_served_name(name: str) -> bool:
     """Return whether a file or folder of this name is served: hidden ones and ``..`` are not."""
     return bool(name) and not name.startswith(".") and not set(name) & _NOT_IN_NAMES
 

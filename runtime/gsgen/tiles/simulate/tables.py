@@ -30,7 +30,9 @@ def read_path(path: Path) -> list[Pose]:
     lengths = np.linalg.norm(rows[:, 4:], axis=1)
     if (short_vectors := np.flatnonzero(lengths < _MIN_VECTOR_LENGTH)).size:
         line = int(short_vectors[0])
-        raise _refuse(path, line + 2, f"quaternion {rows[line, 4:].tolist()}", "a length above 0")
+        raise _table_error(
+            path, line + 2, f"quaternion {rows[line, 4:].tolist()}", "a length above 0"
+        )
     quaternions = rows[:, 4:] / lengths[:, None]
     return [
         Pose(float(row[0]), row[1:4].copy(), quaternion)
@@ -47,7 +49,7 @@ def read_trace(path: Path) -> RateTrace:
     rows = _read_table(path, TRACE_COLUMNS)
     if (negative_rows := np.flatnonzero(rows[:, 1] < 0)).size:
         line = int(negative_rows[0])
-        raise _refuse(path, line + 2, f"{rows[line, 1]:g} Mbps", "0 or more")
+        raise _table_error(path, line + 2, f"{rows[line, 1]:g} Mbps", "0 or more")
     return RateTrace(rows[:, 0], rows[:, 1] / _MEGABITS_PER_BYTE)
 
 
@@ -72,7 +74,7 @@ def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n 
     header = [name.strip() for name in next(lines, [])]
     missing = [name for name in columns if name not in header]
     if missing:
-        raise _refuse(path, 1, f"columns {','.join(header)!r:.60}", ",".join(columns))
+        raise _table_error(path, 1, f"columns {','.join(header)!r:.60}", ",".join(columns))
     column_indices = [header.index(name) for name in columns]
     rows: list[list[float]] = []
     for fields in lines:
@@ -81,9 +83,9 @@ def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n 
         rows.append(_read_row(path, lines.line_num, fields, column_indices, len(header)))
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
             expected = f"a time after {rows[-2][0]:g}"
-            raise _refuse(path, lines.line_num, f"t {rows[-1][0]:g}", expected)
+            raise _table_error(path, lines.line_num, f"t {rows[-1][0]:g}", expected)
     if not rows:
-        raise _refuse(path, 2, "the table has no rows", "at least one row")
+        raise _table_error(path, 2, "the table has no rows", "at least one row")
     return np.array(rows, np.float64)
 
 
@@ -91,15 +93,15 @@ def _read_row(
     path: Path, line: int, fields: list[str], column_indices: list[int], width: int
 ) -> list[float]:
     if len(fields) != width:
-        raise _refuse(path, line, f"{len(fields)} fields", f"{width}, as in the first line")
+        raise _table_error(path, line, f"{len(fields)} fields", f"{width}, as in the first line")
     try:
         row = [float(fields[pick]) for pick in column_indices]
     except ValueError:
         row = [np.nan]
     if not np.isfinite(row).all():
-        raise _refuse(path, line, f"{','.join(fields)!r:.60}", "finite numbers")
+        raise _table_error(path, line, f"{','.join(fields)!r:.60}", "finite numbers")
     return row
 
 
-def _refuse(path: Path, line: int, actual: str, expected: str) -> InputUnreadable:
+def _table_error(path: Path, line: int, actual: str, expected: str) -> InputUnreadable:
     return InputUnreadable(f"{actual}, expected {expected}", where=f"{path}, line {line}")

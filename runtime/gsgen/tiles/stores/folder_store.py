@@ -39,7 +39,7 @@ class FolderStore(Store):
                 stream.seek(start)
                 return stream.read(count)
         except OSError as error:
-            raise self._unreadable(path, error) from error
+            raise self._unreadable_file_error(path, error) from error
 
     def _open_check(self, path: str) -> tuple[Path, int]:
         """Return the path and size of a regular file in the folder; raise for any other file."""
@@ -50,7 +50,7 @@ class FolderStore(Store):
         except (FileNotFoundError, NotADirectoryError) as error:
             raise missing(self.name, path) from error
         except (OSError, ValueError) as error:
-            raise self._unreadable(path, error) from error
+            raise self._unreadable_file_error(path, error) from error
         if not inside:
             raise TilesetInvalid(
                 "the path is a link that leads out of the folder",
@@ -62,7 +62,7 @@ class FolderStore(Store):
             raise missing(self.name, path, "it is a folder, device or pipe")
         return file, status.st_size
 
-    def _unreadable(self, path: str, error: OSError | ValueError) -> StoreUnavailable:
+    def _unreadable_file_error(self, path: str, error: OSError | ValueError) -> StoreUnavailable:
         reason = getattr(error, "strerror", None) or str(error)
         return StoreUnavailable(
             f"cannot be read: {reason}",

@@ -120,7 +120,7 @@ class ZipStore(Store):
 
     def _read_member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
         """Read an archive member by its local header; offsets in the zip directory may be wrong."""
-        header = self._at(member.header_offset, _LOCAL_HEADER.size)
+        header = self._read_at(member.header_offset, _LOCAL_HEADER.size)
         if len(header) < _LOCAL_HEADER.size or header[:4] != _LOCAL_MAGIC:
             raise self._damage_error(f"{member.filename} is not at byte {member.header_offset}")
         *_, name_length, extra_length = _LOCAL_HEADER.unpack(header)
@@ -128,7 +128,7 @@ class ZipStore(Store):
         if member.flag_bits & 1:
             raise self._damage_error(f"{member.filename} is encrypted")
         if member.compress_type == zipfile.ZIP_STORED:
-            data = self._at(first + start, count)
+            data = self._read_at(first + start, count)
         elif member.compress_type == _DEFLATED:
             data = self._inflate(first, member.compress_size, start + count)[start:]
         else:
@@ -142,13 +142,13 @@ class ZipStore(Store):
 
     def _inflate(self, first: int, packed: int, count: int) -> bytes:
         decompressor = zlib.decompressobj(wbits=-15)
-        data = self._at(first, min(packed, count + (count >> 3) + (1 << 16)))
+        data = self._read_at(first, min(packed, count + (count >> 3) + (1 << 16)))
         try:
             return decompressor.decompress(data, count) if count else b""
         except zlib.error as error:
             raise self._damage_error(f"an archived file cannot be unpacked ({error})") from error
 
-    def _at(self, start: int, count: int) -> bytes:
+    def _read_at(self, start: int, count: int) -> bytes:
         if isinstance(self._file, RangedFile):
             return self._file.read_at(start, count)
         with self._lock:

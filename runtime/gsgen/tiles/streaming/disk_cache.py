@@ -81,8 +81,8 @@ class DiskCache:
         with self._lock, contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
             with self._open_locked() as total_file:
-                total = self._make_room(_read_total(total_file), len(data))
-                _write_total(
+                total = self._evict_for_size(_read_total_size(total_file), len(data))
+                _write_total_size(
                     total_file, total
                 )  # before the file: a crash may count it, but never lose it
                 draft = self._folder / _DRAFT_NAME
@@ -110,7 +110,7 @@ class DiskCache:
                     files.append((status.st_mtime_ns / 1e9, status.st_size, Path(entry.path)))
         return files
 
-    def _make_room(self, total: int | None, size: int) -> int:
+    def _evict_for_size(self, total: int | None, size: int) -> int:
         """Delete the least recently used files until a new file fits; return the new total bytes.
 
         Args:
@@ -135,12 +135,12 @@ def _digest_in_name(path: str) -> str | None:
     return match[1] if match else None
 
 
-def _read_total(total_file: BinaryIO) -> int | None:
+def _read_total_size(total_file: BinaryIO) -> int | None:
     text = total_file.read(32).strip()
     return int(text) if text.isdigit() else None
 
 
-def _write_total(total_file: BinaryIO, total: int) -> None:
+def _write_total_size(total_file: BinaryIO, total: int) -> None:
     total_file.seek(0)
     total_file.write(b"%-32d" % total)
 

@@ -71,18 +71,18 @@ class TileFades:
 
     def __init__(self, tree: TileTree, seconds: float) -> None:
         self._tree, self._seconds = tree, seconds
-        self._fade: Float64[np.ndarray, " n"] = np.zeros(len(tree))
+        self._fade_by_tile: Float64[np.ndarray, " n"] = np.zeros(len(tree))
         self._time: float | None = None
 
     @property
     def values(self) -> Float64[np.ndarray, " n"]:
         """The opacity factor of every tile, in [0, 1]; 0 for tiles that are not drawn."""
-        return np.asarray(self._fade)
+        return np.asarray(self._fade_by_tile)
 
     @property
     def is_settled(self) -> bool:
         """Whether no tile is fading in or out."""
-        return bool(((self._fade == 0) | (self._fade == 1)).all())
+        return bool(((self._fade_by_tile == 0) | (self._fade_by_tile == 1)).all())
 
     def frame(
         self, time: float, drawn: Bool[np.ndarray, " n"], seen: Bool[np.ndarray, " n"]
@@ -98,23 +98,25 @@ class TileFades:
         if self._seconds > 0 and self._time is not None:
             step = min(time - self._time, _MAX_STEP_SECONDS) / self._seconds
         self._time = time
-        visible = self._fade > 0
+        visible = self._fade_by_tile > 0
         # Only a tile with a visible one above or below it takes the place of something.
         has_drawn_relative = self._descendants(visible) | self._ancestors(visible)
         is_entering = drawn & ~visible
-        self._fade[is_entering & ~has_drawn_relative] = 1.0
+        self._fade_by_tile[is_entering & ~has_drawn_relative] = 1.0
         # A drawn tile below or above another has taken its place.
         is_leaving = visible & ~drawn
         is_replaced = self._descendants(drawn) | self._ancestors(drawn)
-        self._fade[is_leaving & ~(is_replaced & self._tiles_in_view(seen))] = 0.0
-        is_fading_in = drawn & (self._fade < 1) & (has_drawn_relative | visible)
-        is_fading_out = (self._fade > 0) & ~drawn
-        self._fade[is_fading_in] = np.minimum(self._fade[is_fading_in] + step, 1.0)
-        self._fade[is_fading_out] = np.maximum(self._fade[is_fading_out] - step, 0.0)
+        self._fade_by_tile[is_leaving & ~(is_replaced & self._tiles_in_view(seen))] = 0.0
+        is_fading_in = drawn & (self._fade_by_tile < 1) & (has_drawn_relative | visible)
+        is_fading_out = (self._fade_by_tile > 0) & ~drawn
+        self._fade_by_tile[is_fading_in] = np.minimum(self._fade_by_tile[is_fading_in] + step, 1.0)
+        self._fade_by_tile[is_fading_out] = np.maximum(
+            self._fade_by_tile[is_fading_out] - step, 0.0
+        )
 
     def drop(self, tile: int) -> None:
         """Stop drawing a tile at once, without a fade."""
-        self._fade[tile] = 0.0
+        self._fade_by_tile[tile] = 0.0
 
     def _tiles_in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return the mask of the tiles that a camera sees, and all descendants of these tiles."""

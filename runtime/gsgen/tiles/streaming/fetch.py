@@ -86,11 +86,11 @@ class FetchLink(Generic[FetchedType, DecodedType]):
         self._decoders = Semaphore(_DECODER_THREADS)
         self._active_requests: dict[int, _Request] = {}
         self._queue: deque[int] = deque()
-        self._started: list[int] = []
+        self._started_requests: list[int] = []
         self._lock = Lock()
         self._results: SimpleQueue[FetchResult[DecodedType]] = SimpleQueue()
         self._result_event = Event()
-        self._crash: Exception | None = None
+        self._fetch_crash: Exception | None = None
 
     @property
     def free(self) -> int:
@@ -111,7 +111,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
     def take_started(self) -> list[int]:
         """Return the queued tiles whose requests began since the last call."""
         with self._lock:
-            started, self._started = self._started, []
+            started, self._started_requests = self._started_requests, []
         return started
 
     def _begin(self, tile: int) -> None:
@@ -141,8 +141,8 @@ class FetchLink(Generic[FetchedType, DecodedType]):
             Exception: A fault of gsgen on one of the threads.
         """
         self._result_event.clear()
-        if self._crash is not None:
-            raise self._crash
+        if self._fetch_crash is not None:
+            raise self._fetch_crash
         results = []
         while not self._results.empty():
             results.append(self._results.get())
@@ -166,14 +166,14 @@ class FetchLink(Generic[FetchedType, DecodedType]):
         except _Cancelled:
             return
         except Exception as error:
-            if self._finish(request):
-                self._fail(request.tile, error)
+            if self._finish_request(request):
+                self._queue_failure(request.tile, error)
             return
-        if self._finish(request):
+        if self._finish_request(request):
             with self._decoders:
                 self._decode_and_answer(request.tile, data)
 
-    def _finish(self, request: _Request) -> bool:
+    def _finish_request(self, request: _Request) -> bool:
         """Free a finished request's connection; return False if the request was cancelled."""
         with self._lock:
             if request.is_cancelled:
@@ -181,7 +181,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
             del self._active_requests[request.tile]
             while self._queue and len(self._active_requests) < self._connections:
                 tile = self._queue.popleft()
-                self._started.append(tile)
+                self._started_requests.append(tile)
                 self._begin(tile)
             return True
 
@@ -189,19 +189,19 @@ class FetchLink(Generic[FetchedType, DecodedType]):
         try:
             content = self._decode(tile, data)
         except Exception as error:
-            self._fail(tile, error)
+            self._queue_failure(tile, error)
         else:
-            self._answer(FetchResult(tile, content, None))
+            self._queue_result(FetchResult(tile, content, None))
 
-    def _fail(self, tile: int, error: Exception) -> None:
+    def _queue_failure(self, tile: int, error: Exception) -> None:
         """Answer that a tile cannot be had; a fault of gsgen is raised where results are polled."""
         if isinstance(error, GsgenError):
-            self._answer(FetchResult(tile, None, error))
+            self._queue_result(FetchResult(tile, None, error))
         else:
-            self._crash = error
+            self._fetch_crash = error
             self._result_event.set()
 
-    def _answer(self, result: FetchResult[DecodedType]) -> None:
+    def _queue_result(self, result: FetchResult[DecodedType]) -> None:
         self._results.put(result)
         self._result_event.set()
 

@@ -52,7 +52,7 @@ class GeneratorOpener:
         entry = self._tree.tiles[tile]
         assert entry.neural is not None
         data = self._read_model(entry.neural)
-        _raise_first(list(check_digest(data, entry.neural, "model")))
+        _raise_first_violation(list(check_digest(data, entry.neural, "model")))
         with temporary_folder() as folder:
             path = folder / "model.onnx"
             path.write_bytes(data)
@@ -72,12 +72,12 @@ class GeneratorOpener:
         entry, box = self._tree.tiles[tile], self._tree.box(tile)
         bounds = TileBounds(box, entry.transform)
         limits = self._confined.limits if self._confined else None
-        _raise_first(
+        _raise_first_violation(
             list(check_neural_model(path, entry, neural, "model", bounds=bounds, limits=limits))
         )
 
 
-def _raise_first(violations: Sequence[Violation]) -> None:
+def _raise_first_violation(violations: Sequence[Violation]) -> None:
     if violations:
         first = violations[0]
         raise TilesetInvalid(first.actual, expected=first.expected, fault=Fault.NEURAL)

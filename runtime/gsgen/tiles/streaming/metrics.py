@@ -59,12 +59,12 @@ class MetricsRecorder:
     def __init__(self, parent: Int64[np.ndarray, " n"], size: Int64[np.ndarray, " n"]) -> None:
         count = len(parent)
         self._parent, self._size = parent, size
-        self._selected = np.zeros(count, bool)
+        self._selected_tiles = np.zeros(count, bool)
         self._is_unseen = np.zeros(count, bool)
-        self._waiting: dict[int, list[float]] = {}
-        self._delays: list[float] = []
-        self._hit_count = self._frames = self._good_frames = self._hole_frames = 0
-        self._first_good_time = math.nan
+        self._wanted_times_by_tile: dict[int, list[float]] = {}
+        self._tile_delays: list[float] = []
+        self._hit_count = self._frames = self._good_frame_count = self._hole_frame_count = 0
+        self._first_good_frame_time = math.nan
         self._start: float | None = None
         self._time = 0.0
         self._wasted_bytes = 0
@@ -85,7 +85,7 @@ class MetricsRecorder:
         if self._is_unseen[tile]:
             self._wasted_bytes += int(self._size[tile])  # dropped unseen, and asked for again
         self._is_unseen[tile] = True
-        self._delays += [time - entry for entry in self._waiting.pop(tile, [])]
+        self._tile_delays += [time - entry for entry in self._wanted_times_by_tile.pop(tile, [])]
 
     def cancel(self, received: int) -> None:
         """Record that a tile request was cancelled after ``received`` bytes."""
@@ -97,22 +97,24 @@ class MetricsRecorder:
         self._time = time
         self._start = time if self._start is None else self._start
         self._is_unseen &= ~(cut.seen & loaded)
-        entries = cut.selected & ~self._selected
-        self._selected = cut.selected.copy()
+        entries = cut.selected & ~self._selected_tiles
+        self._selected_tiles = cut.selected.copy()
         hit_count = int((entries & loaded).sum())
         self._hit_count += hit_count
-        self._delays += [0.0] * hit_count
+        self._tile_delays += [0.0] * hit_count
         for tile in np.flatnonzero(entries & ~loaded).tolist():
-            self._waiting.setdefault(tile, []).append(time)
+            self._wanted_times_by_tile.setdefault(tile, []).append(time)
         self._frames += 1
         count, loaded_count = int(cut.selected.sum()), int((cut.selected & loaded).sum())
         if loaded_count >= GOOD_QUALITY_SHARE * count:
-            self._good_frames += 1
-            if math.isnan(self._first_good_time):
-                self._first_good_time = time - self._start
-        self._hole_frames += self._has_hole(cut.selected, loaded)
+            self._good_frame_count += 1
+            if math.isnan(self._first_good_frame_time):
+                self._first_good_frame_time = time - self._start
+        self._hole_frame_count += self._has_missing_tile(cut.selected, loaded)
 
-    def _has_hole(self, needed: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]) -> bool:
+    def _has_missing_tile(
+        self, needed: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]
+    ) -> bool:
         """Return whether a wanted tile has neither content nor a loaded ancestor."""
         rows = np.flatnonzero(needed & ~loaded)
         while len(rows):
@@ -124,17 +126,21 @@ class MetricsRecorder:
 
     def summary(self) -> StreamingMetrics:
         """Return the streaming metrics of all frames; missing tiles count as waiting until now."""
-        waits = [self._time - entry for entries in self._waiting.values() for entry in entries]
-        delays = np.array([*self._delays, *waits])
+        waits = [
+            self._time - entry
+            for entries in self._wanted_times_by_tile.values()
+            for entry in entries
+        ]
+        delays = np.array([*self._tile_delays, *waits])
         count = len(delays)
         return StreamingMetrics(
             hit_rate=self._hit_count / count if count else 1.0,
             waste=self.unseen_bytes / self.bytes if self.bytes else 0.0,
-            first_good_s=self._first_good_time,
-            share_good=self._good_frames / self._frames if self._frames else 1.0,
+            first_good_s=self._first_good_frame_time,
+            share_good=self._good_frame_count / self._frames if self._frames else 1.0,
             mean_delay_s=float(delays.mean()) if count else 0.0,
             p95_delay_s=float(np.percentile(delays, 95)) if count else 0.0,
-            hole_frames=self._hole_frames,
+            hole_frames=self._hole_frame_count,
             entries=count,
             bytes=self.bytes,
             requests=self.requests,

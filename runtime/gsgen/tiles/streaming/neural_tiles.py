@@ -141,19 +141,23 @@ class NeuralTiles:
         self._tree, self._read_model, self._clock = tree, read_model, clock
         self._options, self._sh_degree, self._max_rows = options, sh_degree, max_rows
         self._report, self._log = report, log
-        self._neural = {
+        self._neural_tiles_by_index = {
             index: tile.neural
             for index, tile in enumerate(tree.tiles)
             if tile.neural and tile.contents
         }
-        for tile, neural in list(self._neural.items()):
+        for tile, neural in list(self._neural_tiles_by_index.items()):
             if neural.splats_max > max_rows:
-                del self._neural[tile]
+                del self._neural_tiles_by_index[tile]
                 report(
                     f"{neural.location}.splats_max: {neural.splats_max:,}; expected at most "
                     f"{max_rows:,}, the budget of Gaussians; the tile's splats are drawn"
                 )
-        spans = [neural.time_range for neural in self._neural.values() if neural.time_range]
+        spans = [
+            neural.time_range
+            for neural in self._neural_tiles_by_index.values()
+            if neural.time_range
+        ]
         self.time_range = (
             (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
         )
@@ -161,8 +165,8 @@ class NeuralTiles:
         self._contents: dict[int, TileArrival] = {}  # of resident neural tiles
         self._pool_contents: dict[int, TileArrival] = {}  # what the slots of each of them hold
         self._uploads: dict[int, tuple[TileArrival, int]] = {}  # in parts; rows that came so far
-        self._open: dict[int, _Generator] = {}
-        self._loading: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
+        self._open_generators: dict[int, _Generator] = {}
+        self._loading_generators: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
         self._retry_at: dict[int, float] = {}
         self._pending_tiles: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
@@ -173,11 +177,14 @@ class NeuralTiles:
     @property
     def tiles(self) -> tuple[int, ...]:
         """The tiles whose ONNX generators may run: those whose Gaussians fit in the splat pool."""
-        return tuple(self._neural)
+        return tuple(self._neural_tiles_by_index)
 
     def reserved_rows(self, tile: int) -> int:
         """Return how many splat pool rows a tile reserves: twice as many for partial uploads."""
-        splats_max, slot_rows = self._neural[tile].splats_max, self._options.slot_rows
+        splats_max, slot_rows = (
+            self._neural_tiles_by_index[tile].splats_max,
+            self._options.slot_rows,
+        )
         max_splats = max(splats_max, int(self._tree.splats[tile]) if self._tree.is_counted else 0)
         slots = -(-max_splats // slot_rows)
         row_bytes = pool_row_bytes(3 * coefficients(self._sh_degree))
@@ -188,7 +195,7 @@ class NeuralTiles:
     @property
     def open_tiles(self) -> tuple[int, ...]:
         """The tiles whose ONNX generators are open, in ascending order."""
-        return tuple(sorted(self._open))
+        return tuple(sorted(self._open_generators))
 
     @property
     def pending_tiles(self) -> tuple[int, ...]:
@@ -197,7 +204,7 @@ class NeuralTiles:
 
     def arrive(self, arrival: TileArrival) -> None:
         """Record that the stored splats of a tile with an ONNX generator are in the splat pool."""
-        if arrival.tile in self._neural:
+        if arrival.tile in self._neural_tiles_by_index:
             self._contents[arrival.tile] = self._pool_contents[arrival.tile] = arrival
             self._uploads.pop(arrival.tile, None)
 
@@ -238,7 +245,7 @@ class NeuralTiles:
             self._load(tiles)
         self._run(inputs, camera, time)
         updates = self._updates(uploaded)
-        self._pending_tiles = tuple(t for t in tiles if not self._is_settled(t, inputs[t]))
+        self._pending_tiles = tuple(t for t in tiles if not self._is_run_up_to_date(t, inputs[t]))
         if self._log and self._events:
             self._log.neural(time, self._events)
         self._events = NeuralEvents()
@@ -246,55 +253,55 @@ class NeuralTiles:
 
     def wait(self, seconds: float) -> None:
         """Sleep until an ONNX generator is open or a model run ends, for a limited time."""
-        pending: list[Future[Any]] = [*self._loading.values()]
-        pending += [entry.pending for entry in self._open.values() if entry.pending]
+        pending: list[Future[Any]] = [*self._loading_generators.values()]
+        pending += [entry.pending for entry in self._open_generators.values() if entry.pending]
         if pending:
             wait_for(pending, timeout=seconds, return_when=FIRST_COMPLETED)
 
     def interrupt(self) -> None:
         """Stop all pending runs of ONNX generators, which then fail."""
-        for entry in self._open.values():
+        for entry in self._open_generators.values():
             entry.worker.interrupt()
 
     def close(self) -> None:
         """Stop all runs of ONNX generators, and release these models."""
         self.interrupt()
-        for load in self._loading.values():
+        for load in self._loading_generators.values():
             load.cancel()
         self._loader.shutdown(cancel_futures=True)
-        for load in self._loading.values():
+        for load in self._loading_generators.values():
             if not load.cancelled() and load.exception() is None:
                 load.result()[0].close()
-        for entry in self._open.values():
+        for entry in self._open_generators.values():
             entry.worker.close()
-        self._loading, self._open = {}, {}
+        self._loading_generators, self._open_generators = {}, {}
 
     # ---- 1. What ended
 
     def _collect(self, time: float) -> None:
-        for tile, load in list(self._loading.items()):
+        for tile, load in list(self._loading_generators.items()):
             if not load.done():
                 continue
-            del self._loading[tile]
+            del self._loading_generators[tile]
             try:
                 worker, size = load.result()
             except GsgenError as error:
-                self._fail(tile, error, time)
+                self._record_tile_failure(tile, error, time)
                 continue
             self.bytes += size
             self._retry_at.pop(tile, None)
-            self._open[tile] = _Generator(worker=worker, last_drawn=time)
+            self._open_generators[tile] = _Generator(worker=worker, last_drawn=time)
             self._events.opened.append(tile)
-        for tile, entry in list(self._open.items()):
+        for tile, entry in list(self._open_generators.items()):
             if entry.pending is None or not entry.pending.done():
                 continue
             run, entry.pending = entry.pending, None
             try:
-                self._take(tile, entry, run.result())
+                self._upload_delta(tile, entry, run.result())
             except GsgenError as error:
-                self._fail(tile, error, time)
+                self._record_tile_failure(tile, error, time)
 
-    def _take(self, tile: int, entry: _Generator, delta: FrameDelta) -> None:
+    def _upload_delta(self, tile: int, entry: _Generator, delta: FrameDelta) -> None:
         """Convert the changed outputs of an ONNX generator's run to rows of the splat pool."""
         entry.rows = entry.rows if delta.rows is None else delta.rows
         entry.appearance = entry.appearance if delta.appearance is None else delta.appearance
@@ -306,7 +313,7 @@ class NeuralTiles:
             return
         assert entry.rows is not None
         assert entry.appearance is not None
-        neural, tree = self._neural[tile], self._tree
+        neural, tree = self._neural_tiles_by_index[tile], self._tree
         if delta.count > neural.splats_max:
             raise TilesetInvalid(
                 f"a run of the generator gives {delta.count:,} Gaussians",
@@ -325,20 +332,20 @@ class NeuralTiles:
             sh_degree=self._sh_degree,
         )
 
-    def _fail(self, tile: int, error: GsgenError, time: float) -> None:
+    def _record_tile_failure(self, tile: int, error: GsgenError, time: float) -> None:
         """Draw a tile's stored splats if its ONNX generator has failed, and report the reason."""
-        self._release(tile)
+        self._release_generator(tile)
         is_transient = isinstance(error, StoreUnavailable | HostProcessFailed)
         self._retry_at[tile] = time + RETRY_AFTER if is_transient else np.inf
         message = str(error).replace("\n", " ")
-        uri = self._neural[tile].uri
+        uri = self._neural_tiles_by_index[tile].uri
         message = message if uri in message else f"{uri}: {message}"
         line = f"{self._tree.tiles[tile].location}: {message}"
         self._events.failed.append((tile, line))
         self._report(f"{line}; the tile's splats are drawn")
 
-    def _release(self, tile: int) -> None:
-        entry = self._open.pop(tile, None)
+    def _release_generator(self, tile: int) -> None:
+        entry = self._open_generators.pop(tile, None)
         if entry is not None:
             entry.worker.interrupt()
             self._loader.submit(entry.worker.close)  # waits for the end of its run
@@ -362,36 +369,41 @@ class NeuralTiles:
     def _close_unused(self, tiles: Sequence[int], time: float) -> None:
         """Close the longest unused ONNX generators to make room for those that this frame needs."""
         for tile in tiles:
-            if tile in self._open:
-                self._open[tile].last_drawn = time
-        excess = sum(tile not in self._open and tile not in self._loading for tile in tiles)
-        excess -= self._options.sessions - len(self._open) - len(self._loading)
+            if tile in self._open_generators:
+                self._open_generators[tile].last_drawn = time
+        excess = sum(
+            tile not in self._open_generators and tile not in self._loading_generators
+            for tile in tiles
+        )
+        excess -= (
+            self._options.sessions - len(self._open_generators) - len(self._loading_generators)
+        )
         unused = sorted(
-            (tile for tile in self._open if tile not in tiles),
-            key=lambda tile: (self._open[tile].last_drawn, tile),
+            (tile for tile in self._open_generators if tile not in tiles),
+            key=lambda tile: (self._open_generators[tile].last_drawn, tile),
         )
         for tile in unused[: max(excess, 0)]:
-            self._release(tile)
+            self._release_generator(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:
         """Begin to open the ONNX generator of the largest tile whose model is not open."""
         for tile in tiles:
-            has_room = len(self._open) < self._options.sessions
-            if tile not in self._open and not self._loading and has_room:
-                self._loading[tile] = self._loader.submit(self._opener.open, tile)
+            has_room = len(self._open_generators) < self._options.sessions
+            if tile not in self._open_generators and not self._loading_generators and has_room:
+                self._loading_generators[tile] = self._loader.submit(self._opener.open, tile)
 
     # ---- 4. Runs
 
     def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> _RunInputs:
         """Return the inputs that a tile's ONNX generator gets in this frame."""
-        sees_camera = bool(set(self._neural[tile].inputs) & set(CAMERA_ROLES))
+        sees_camera = bool(set(self._neural_tiles_by_index[tile].inputs) & set(CAMERA_ROLES))
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         view = (camera.view.tobytes(), lens) if sees_camera else None
         return _RunInputs(view, self._time(tile, values))
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
         """Return the time to feed to a tile's ONNX generator; None if it has no time input."""
-        span = self._neural[tile].time_range
+        span = self._neural_tiles_by_index[tile].time_range
         if span is None:
             return None
         value = float(np.asarray(values.get("time", span[0])).reshape(-1)[0])
@@ -409,15 +421,15 @@ class NeuralTiles:
         ready = [
             tile
             for tile, run in inputs.items()
-            if (entry := self._open.get(tile))
+            if (entry := self._open_generators.get(tile))
             and entry.pending is None
             and entry.drawn_inputs != run
         ]
-        for tile in sorted(ready, key=lambda tile: (self._open[tile].last_run, tile)):
+        for tile in sorted(ready, key=lambda tile: (self._open_generators[tile].last_run, tile)):
             if self._tokens < 1:
                 break
             self._tokens -= 1
-            entry, run = self._open[tile], inputs[tile]
+            entry, run = self._open_generators[tile], inputs[tile]
             entry.started_inputs, entry.last_run = run, time
             entry.pending = entry.worker.start(
                 local_camera(camera, self._tree.tiles[tile].transform),
@@ -428,7 +440,7 @@ class NeuralTiles:
 
     def _expected_content(self, tile: int) -> TileArrival:
         """Return the Gaussians that a tile should show: ONNX generator output, or stored splats."""
-        entry = self._open.get(tile)
+        entry = self._open_generators.get(tile)
         return self._contents[tile] if entry is None or entry.result is None else entry.result
 
     def _updates(self, uploaded: int) -> list[TileArrival]:
@@ -440,7 +452,7 @@ class NeuralTiles:
             if self._pool_contents[tile] is rows:
                 continue
             remaining_bytes, part = self._options.upload_budget - uploaded, rows
-            if self._comes_in_parts(tile):
+            if self._is_streamed_in_parts(tile):
                 part = rows.next_part(remaining_bytes, self._options.slot_rows, first_row=first_row)
             if uploaded and part.upload_bytes > remaining_bytes:
                 continue
@@ -453,13 +465,13 @@ class NeuralTiles:
                 self._uploads[tile] = rows, part.end_row
         return updates
 
-    def _comes_in_parts(self, tile: int) -> bool:
+    def _is_streamed_in_parts(self, tile: int) -> bool:
         """Return whether a tile's slots have room for new Gaussians besides those drawn now."""
         content, reserved_count = self._contents[tile], self.reserved_rows(tile)
-        is_doubled = reserved_count > self._neural[tile].splats_max
+        is_doubled = reserved_count > self._neural_tiles_by_index[tile].splats_max
         return is_doubled and 2 * len(content.rows) <= reserved_count
 
-    def _is_settled(self, tile: int, inputs: _RunInputs) -> bool:
-        entry = self._open.get(tile)
+    def _is_run_up_to_date(self, tile: int, inputs: _RunInputs) -> bool:
+        entry = self._open_generators.get(tile)
         is_current = entry is not None and entry.drawn_inputs == inputs
         return is_current and self._pool_contents[tile] is self._expected_content(tile)

@@ -71,17 +71,17 @@ class RequestPlanner:
     def __init__(
         self, tree: TileTree, link: Link, recorder: MetricsRecorder, prefetch: Prefetch | None
     ) -> None:
-        self._tree, self._link, self._recorder = tree, link, recorder
+        self._tree, self._fetch_link, self._recorder = tree, link, recorder
         self._prefetch = prefetch
         self._is_bounded = not isinstance(prefetch, PathPrefetch)
-        self._demand: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
-        self._in_flight: dict[int, _RequestPurpose] = {}
+        self._requested_tiles: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
+        self._purpose_by_pending_tile: dict[int, _RequestPurpose] = {}
         self._ledger = _PrefetchLedger(tree.size)
 
     @property
     def in_flight(self) -> frozenset[int]:
         """The tiles that were requested and have not arrived."""
-        return frozenset(self._in_flight)
+        return frozenset(self._purpose_by_pending_tile)
 
     def frame(self, pose: Pose, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Set the tiles that a new frame needs, and cancel prefetches that delay these tiles.
@@ -91,28 +91,28 @@ class RequestPlanner:
             cut: Of the camera.
             loaded: Tiles that are there, or cannot be had.
         """
-        self._demand = request_order(self._tree, cut)
+        self._requested_tiles = request_order(self._tree, cut)
         if self._prefetch:
             self._ledger.frame(pose.time, cut.seen & loaded)
             self._prefetch.observe(pose)
         for tile in self._requested("prefetched"):
             if cut.seen[tile]:
-                self._in_flight[tile] = "needed"
+                self._purpose_by_pending_tile[tile] = "needed"
         if self.missing(loaded):
             for tile in self._requested("prefetched", "finer"):
-                if self._link.progress(tile) < CANCEL_PRIORITY_FRACTION:
-                    self._recorder.cancel(self._link.cancel(tile))
-                    del self._in_flight[tile]
+                if self._fetch_link.progress(tile) < CANCEL_PRIORITY_FRACTION:
+                    self._recorder.cancel(self._fetch_link.cancel(tile))
+                    del self._purpose_by_pending_tile[tile]
 
     def arrive(self, tile: int, time: float) -> None:
         """Record that the contents of a tile arrived at ``time``."""
         self._recorder.arrive(tile, time)
-        if self._in_flight.pop(tile, None) == "prefetched":
+        if self._purpose_by_pending_tile.pop(tile, None) == "prefetched":
             self._ledger.arrive(tile, time)
 
     def fail(self, tile: int) -> None:
         """Record that a tile request ended with an error."""
-        self._in_flight.pop(tile, None)
+        self._purpose_by_pending_tile.pop(tile, None)
 
     def fill(self, loaded: Bool[np.ndarray, " n"], finer_tiles: Sequence[int] = ()) -> None:
         """Request tiles while network connections are free.
@@ -121,46 +121,50 @@ class RequestPlanner:
             loaded: Tiles that are there, or cannot be had.
             finer_tiles: Loaded tiles that have a finer file, in order of request.
         """
-        while self._link.free > 0:
-            tile, purpose = self._next(loaded, finer_tiles)
+        while self._fetch_link.free > 0:
+            tile, purpose = self._next_request(loaded, finer_tiles)
             if tile is None:
                 break
-            self._in_flight[tile] = purpose
+            self._purpose_by_pending_tile[tile] = purpose
             self._recorder.request()
-            self._link.request(tile)
+            self._fetch_link.request(tile)
 
     def begin(self, tile: int) -> None:
         """Record that the network link has started the queued request of a needed tile."""
-        self._in_flight[tile] = "needed"
+        self._purpose_by_pending_tile[tile] = "needed"
         self._recorder.request()
 
     def missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the seen tiles that are neither loaded nor requested, the most urgent first."""
-        rows = missing_tiles(self._demand, loaded).tolist()
-        return [tile for tile in rows if tile not in self._in_flight]
+        rows = missing_tiles(self._requested_tiles, loaded).tolist()
+        return [tile for tile in rows if tile not in self._purpose_by_pending_tile]
 
     def _requested(self, *purposes: _RequestPurpose) -> list[int]:
         """Return the tiles in flight that were requested for one of some purposes."""
-        return [tile for tile, purpose in self._in_flight.items() if purpose in purposes]
+        return [
+            tile for tile, purpose in self._purpose_by_pending_tile.items() if purpose in purposes
+        ]
 
-    def _next(
+    def _next_request(
         self, loaded: Bool[np.ndarray, " n"], finer_tiles: Sequence[int]
     ) -> tuple[int | None, _RequestPurpose]:
         # 1. Seen tiles; while one of them is missing or in flight, nothing else is requested.
         missing = self.missing(loaded)
         if missing:
             return missing[0], "needed"
-        if not loaded[self._demand].all():
+        if not loaded[self._requested_tiles].all():
             return None, "needed"
         # 2. The most urgent tile that will be seen, if its expected waste is within the bound.
         candidates = self._prefetch.candidates(loaded) if self._prefetch else []
         for tile in candidates:
-            if tile not in self._in_flight:
+            if tile not in self._purpose_by_pending_tile:
                 if self._can_prefetch(int(self._tree.size[tile])):
                     return tile, "prefetched"
                 break
         # 3. The finer file that shows most for its bytes.
-        return next((tile for tile in finer_tiles if tile not in self._in_flight), None), "finer"
+        return next(
+            (tile for tile in finer_tiles if tile not in self._purpose_by_pending_tile), None
+        ), "finer"
 
     def _can_prefetch(self, size: int) -> bool:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
@@ -186,14 +190,14 @@ class _PrefetchLedger:
     def __init__(self, size: Int64[np.ndarray, " n"]) -> None:
         self._size = size
         self._arrivals: dict[int, float] = {}
-        self._seen_count = self._late_count = 0
+        self._seen_count = self._late_tile_count = 0
         self.pending_bytes = 0
 
     @property
     def precision(self) -> float:
         """The fraction of prefetched tiles that were seen in time; a half before the first tile."""
         return (self._seen_count + _PRIOR_COUNT / 2) / (
-            self._seen_count + self._late_count + _PRIOR_COUNT
+            self._seen_count + self._late_tile_count + _PRIOR_COUNT
         )
 
     def arrive(self, tile: int, time: float) -> None:
@@ -207,6 +211,6 @@ class _PrefetchLedger:
             is_late = time - arrival > _PREFETCH_TIMEOUT
             if seen[tile] or is_late:
                 self._seen_count += bool(seen[tile])
-                self._late_count += is_late and not seen[tile]
+                self._late_tile_count += is_late and not seen[tile]
                 self.pending_bytes -= int(self._size[tile])
                 del self._arrivals[tile]

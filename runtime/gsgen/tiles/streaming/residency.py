@@ -30,8 +30,8 @@ class ResidentTiles:
         self._tree, self._slots, self._capacity = tree, slots, capacity
         self.resident: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
         self.used_slots = 0
-        self._last_use: Float64[np.ndarray, " n"] = np.full(len(tree), -np.inf)
-        self._protected: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
+        self._last_use_time: Float64[np.ndarray, " n"] = np.full(len(tree), -np.inf)
+        self._protected_tiles: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
 
     def frame(self, time: float, needed: Bool[np.ndarray, " n"]) -> None:
         """Record the tiles that a frame needs, which are evicted from GPU memory last.
@@ -40,8 +40,8 @@ class ResidentTiles:
             time: In seconds.
             needed: Tiles that are drawn, or will be as soon as they are there.
         """
-        self._protected = self.with_ancestors(needed)
-        self._last_use[self._protected] = time
+        self._protected_tiles = self.with_ancestors(needed)
+        self._last_use_time[self._protected_tiles] = time
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Return a mask of the given tiles, all their ancestors, and the root."""
@@ -58,31 +58,31 @@ class ResidentTiles:
         if self.resident[tile]:
             return ()
         missing_slots = self.used_slots + int(self._slots[tile]) - self._capacity
-        evicted = self._victims(missing_slots)
+        evicted = self._tiles_to_evict(missing_slots)
         if evicted is None:
             return None
         for victim in evicted:
             self.remove(victim)
         self.resident[tile] = True
         self.used_slots += int(self._slots[tile])
-        self._last_use[tile] = time
+        self._last_use_time[tile] = time
         return evicted
 
     def protect(self, tile: int) -> None:
         """Keep a tile in GPU memory until the next frame, regardless of other tiles."""
-        self._protected[tile] = True
+        self._protected_tiles[tile] = True
 
     def remove(self, tile: int) -> None:
         """Remove a streamed tile from the renderer's GPU memory (splat pool)."""
         self.resident[tile] = False
         self.used_slots -= int(self._slots[tile])
 
-    def _victims(self, missing_slots: int) -> tuple[int, ...] | None:
+    def _tiles_to_evict(self, missing_slots: int) -> tuple[int, ...] | None:
         """Return tiles whose eviction frees ``missing_slots`` slots of GPU memory; None if impossible."""
         if missing_slots <= 0:
             return ()
-        rows = np.flatnonzero(self.resident & ~self._protected)
-        order = np.lexsort((-rows, -self._tree.level[rows], self._last_use[rows]))
+        rows = np.flatnonzero(self.resident & ~self._protected_tiles)
+        order = np.lexsort((-rows, -self._tree.level[rows], self._last_use_time[rows]))
         rows = rows[order]
         freed_slots = np.cumsum(self._slots[rows])
         if not len(freed_slots) or freed_slots[-1] < missing_slots:

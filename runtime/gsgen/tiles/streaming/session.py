@@ -201,7 +201,7 @@ class TilesetSession:
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
         self.pool_slots = -(-options.max_splats // options.slot_rows)
-        self._options, self._link, self._clock = options, link, clock
+        self._options, self._fetch_link, self._clock = options, link, clock
         self._report, self._store, self._report_generators = report, store, report_generators
         self._recorder = MetricsRecorder(tree.parent, tree.size)
         self._frustum: Frustum | None = None
@@ -211,19 +211,19 @@ class TilesetSession:
         self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
         self._log = EventLog(options.log) if options.log else None
         self.neural = self._neural_tiles(read_model)
-        self._reserved = self._reserved_rows()
+        self._reserved_row_count = self._reserved_rows()
         self._slots: Int64[np.ndarray, " n"] = -(
-            -np.maximum(tree.splats, self._reserved) // options.slot_rows
+            -np.maximum(tree.splats, self._reserved_row_count) // options.slot_rows
         )
         if tree.is_counted:  # a pool need not hold more than the whole tileset
             self.pool_slots = min(self.pool_slots, max(1, int(self._slots.sum())))
-        self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
-        self._fades = TileFades(tree, options.fade_seconds)
+        self._resident_tiles = ResidentTiles(tree, self._slots, self.pool_slots)
+        self._tile_fades = TileFades(tree, options.fade_seconds)
         self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded
-        self._failed = FailedTiles(len(tree), options.retry_seconds)
-        self._started: list[int] = []
+        self._failed_tiles = FailedTiles(len(tree), options.retry_seconds)
+        self._started_requests: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
         options = self._options
@@ -264,12 +264,12 @@ class TilesetSession:
     @property
     def first_failure(self) -> str:
         """The error of the first tile that could not be had, in one line; empty without any."""
-        return self._failed.first_cause
+        return self._failed_tiles.first_cause
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
         """The mask of the tiles that are in the renderer's GPU memory (splat pool)."""
-        return self._residents.resident
+        return self._resident_tiles.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
         """Return the tiles to upload and to draw now, without waiting for the network."""
@@ -277,15 +277,15 @@ class TilesetSession:
         self._frustum = frustum
         # 1. Take what arrived, and select the tiles that this camera needs.
         received = self._receive_tiles(time)
-        cut = self._fitting_cut(frustum)
-        needed = cut.seen | (self._fades.values > 0)
+        cut = self._cut_within_budget(frustum)
+        needed = cut.seen | (self._tile_fades.values > 0)
         if self._partial_upload:
             needed[self._partial_upload.tile] = True
         # 2. Upload arrivals; tiles that are not needed leave for them.
-        self._residents.frame(time, needed)
+        self._resident_tiles.frame(time, needed)
         evicted, arrivals = self._upload(time, cut)
-        is_failed = self._failed.mask(time)
-        is_available = self._residents.resident | self._is_contentless
+        is_failed = self._failed_tiles.mask(time)
+        is_available = self._resident_tiles.resident | self._is_contentless
         if self._partial_upload and not self._partial_upload.is_upgrade:
             is_available[self._partial_upload.tile] = False
         # 3. Request what is missing.
@@ -293,8 +293,8 @@ class TilesetSession:
         self._request(time, cut, is_available | is_failed)
         # 4. Draw the tiles that are there in place of those that are not.
         drawn = drawable_tiles(self.tree, cut, is_available)
-        self._fades.frame(time, drawn, cut.seen)
-        fades = self._fades.values
+        self._tile_fades.frame(time, drawn, cut.seen)
+        fades = self._tile_fades.values
         missing = int((cut.selected & ~is_available & ~is_failed).sum())
         frame = SessionFrame(
             evicted=evicted,
@@ -304,27 +304,27 @@ class TilesetSession:
                 for tile in np.flatnonzero((fades > 0) & ~self._is_contentless).tolist()
             ),
             missing=missing,
-            retried=int((cut.selected & is_failed & self._failed.is_awaited).sum()),
+            retried=int((cut.selected & is_failed & self._failed_tiles.is_awaited).sum()),
             absent=tuple(np.flatnonzero(cut.selected & (is_failed | ~is_available)).tolist()),
             is_complete=missing == 0
-            and self._fades.is_settled
+            and self._tile_fades.is_settled
             and (
                 self._qualities is None
                 or self._qualities.are_finest(cut.selected & is_available & ~is_failed)
             ),
         )
         if self._log:
-            self._log.frame(time, frustum, self._started, received, frame)
+            self._log.frame(time, frustum, self._started_requests, received, frame)
         return frame
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""
         if not (self._pending or self._partial_upload):
-            self._link.wait(seconds)
+            self._fetch_link.wait(seconds)
 
     def close(self) -> None:
         """Cancel all tile requests, and close the file store and the event log."""
-        self._link.close()
+        self._fetch_link.close()
         if self.neural:
             self.neural.close()
         if self._store:
@@ -338,10 +338,10 @@ class TilesetSession:
 
     def _receive_tiles(self, time: float) -> list[FetchResult[TileArrival]]:
         """Take the tiles that arrived over the network; report the tiles that failed."""
-        self._link.queue(())  # the link begins no request while this frame plans
-        results = list(self._link.poll())
-        self._started = self._link.take_started()  # after the poll: no result lacks its request
-        for tile in self._started:
+        self._fetch_link.queue(())  # the link begins no request while this frame plans
+        results = list(self._fetch_link.poll())
+        self._started_requests = self._fetch_link.take_started()  # after the poll: no result lacks its request
+        for tile in self._started_requests:
             self._planner.begin(tile)
         for result in results:
             if result.content is not None:
@@ -353,10 +353,10 @@ class TilesetSession:
                 continue
             self._planner.fail(result.tile)
             assert result.error is not None
-            self._report(self._failed.add(result.tile, result.error, time))
+            self._report(self._failed_tiles.add(result.tile, result.error, time))
         return results
 
-    def _fitting_cut(self, frustum: Frustum) -> TileCut:
+    def _cut_within_budget(self, frustum: Frustum) -> TileCut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
 
         def fits(cut: TileCut) -> bool:
@@ -392,10 +392,10 @@ class TilesetSession:
             del self._pending[tile]
             arrival = replace(
                 part,
-                reserved_rows=int(self._reserved[tile]),
-                is_upgrade=bool(self._residents.resident[tile]),
+                reserved_rows=int(self._reserved_row_count[tile]),
+                is_upgrade=bool(self._resident_tiles.resident[tile]),
             )
-            victims = self._admit(arrival, time)
+            victims = self._admit_arrival(arrival, time)
             if victims is None:
                 continue  # no room beside the drawn tiles: it is asked for again later
             evicted += victims
@@ -414,19 +414,19 @@ class TilesetSession:
         self._partial_upload = None if part.is_last else part
         return part
 
-    def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
+    def _admit_arrival(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
         """Reserve GPU memory for a tile; return the evicted tiles, or None if there is no room."""
         tile = arrival.tile
         if not arrival.is_upgrade:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
             needed = -(-len(arrival.rows) // self.slot_rows)
             self._slots[tile] = max(int(self._slots[tile]), needed)
-        victims = self._residents.admit(tile, time)
+        victims = self._resident_tiles.admit(tile, time)
         if victims is None:
             return None
-        self._residents.protect(tile)  # no other arrival of the frame displaces it
+        self._resident_tiles.protect(tile)  # no other arrival of the frame displaces it
         for victim in victims:
-            self._fades.drop(victim)
+            self._tile_fades.drop(victim)
         if self._qualities:
             for victim in victims:
                 self._qualities.gpu_quality[victim] = -1
@@ -446,7 +446,7 @@ class TilesetSession:
         pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
         self._planner.frame(pose, cut, loaded)
         self._planner.fill(loaded, self._finer_files(time, cut))
-        self._link.queue(self._next_requests(loaded))
+        self._fetch_link.queue(self._next_requests(loaded))
 
     def _next_requests(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the next tiles to request, as many as the next frames can upload.
@@ -471,7 +471,7 @@ class TilesetSession:
         if self._qualities is None:
             return []
         assert self._frustum is not None
-        drawn = cut.selected & self._residents.resident & ~self._failed.mask(time)
+        drawn = cut.selected & self._resident_tiles.resident & ~self._failed_tiles.mask(time)
         drawn[[*self._pending, *([self._partial_upload.tile] if self._partial_upload else [])]] = (
             False
         )

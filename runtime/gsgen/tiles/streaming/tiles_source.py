@@ -65,11 +65,11 @@ class TilesSource(Source):
         neural: NeuralTiles | None = None,
     ) -> None:
         self.name, self.up = name, up
-        self._neural = neural
+        self._neural_tiles = neural
         if neural and (span := neural.time_range):
             self.inputs = (Input(name=_TIME, role=_TIME, shape=(1,), range=span, default=span[0]),)
         self._values: dict[str, object] = {}
-        self._session, self._must_wait, self._extent = session, wait, extent
+        self._session, self._waits_for_tiles, self._extent = session, wait, extent
         channels = 3 * coefficients(session.sh_degree)
         rows = session.pool_slots * session.slot_rows
         self._pool = SplatPool(rows, channels, slot_rows=session.slot_rows)
@@ -77,10 +77,10 @@ class TilesSource(Source):
         empty = np.zeros((0, layout.ROW_LENGTH), np.float32), np.zeros((0, channels), np.float32)
         self.data = SplatData(*empty, "sh")
         self._camera: Camera | None = None
-        self._last: SessionFrame | None = None
-        self._change_count = 0
-        self._absent: set[int] = set()
-        self._late = ""  # what the first frame lacks that did not get all in time
+        self._last_session_frame: SessionFrame | None = None
+        self._drawing_change_count = 0
+        self._absent_tiles: set[int] = set()
+        self._late_tiles_note = ""  # what the first frame lacks that did not get all in time
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Record the frame's camera, which selects the tiles, and the models' input values."""
@@ -92,36 +92,40 @@ class TilesSource(Source):
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)
-        deadline = time.monotonic() + self._must_wait
-        frame = self._take(frustum, self._camera)
+        deadline = time.monotonic() + self._waits_for_tiles
+        frame = self._take_frame(frustum, self._camera)
         while (self.is_streaming or frame.retried) and (left := deadline - time.monotonic()) > 0:
-            if frame.is_complete and not frame.retried and self._neural:
-                self._neural.wait(min(left, _POLL_SECONDS))
+            if frame.is_complete and not frame.retried and self._neural_tiles:
+                self._neural_tiles.wait(min(left, _POLL_SECONDS))
             else:
                 self._session.wait(min(left, _POLL_SECONDS))
-            frame = self._take(frustum, self._camera)
-        if self._must_wait:
+            frame = self._take_frame(frustum, self._camera)
+        if self._waits_for_tiles:
             self._note_shortfall(frame)
 
     def _note_shortfall(self, frame: SessionFrame) -> None:
         """Keep what a frame lacks that was waited for."""
-        self._absent.update(frame.absent)
-        seconds = f"within {self._must_wait:g} s"
+        self._absent_tiles.update(frame.absent)
+        seconds = f"within {self._waits_for_tiles:g} s"
         if frame.missing:
-            self._late = self._late or f"{frame.missing} did not arrive {seconds}"
+            self._late_tiles_note = (
+                self._late_tiles_note or f"{frame.missing} did not arrive {seconds}"
+            )
         elif not frame.is_complete:
-            self._late = self._late or f"finer files did not arrive {seconds}"
+            self._late_tiles_note = self._late_tiles_note or f"finer files did not arrive {seconds}"
         elif pending_tiles := self._pending_generators:
-            self._late = self._late or f"{pending_tiles} generators did not finish {seconds}"
+            self._late_tiles_note = (
+                self._late_tiles_note or f"{pending_tiles} generators did not finish {seconds}"
+            )
 
     @property
     def shortfall(self) -> SourceShortfall | None:
         """The tiles that the frames so far lack, of those that they waited for."""
-        cause = self._session.first_failure if self._absent else ""
-        cause = cause or self._late
-        return SourceShortfall(self.name, len(self._absent), cause) if cause else None
+        cause = self._session.first_failure if self._absent_tiles else ""
+        cause = cause or self._late_tiles_note
+        return SourceShortfall(self.name, len(self._absent_tiles), cause) if cause else None
 
-    def _take(self, frustum: Frustum, camera: Camera) -> SessionFrame:
+    def _take_frame(self, frustum: Frustum, camera: Camera) -> SessionFrame:
         """Upload and evict tiles in GPU memory (splat pool), as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
@@ -138,22 +142,24 @@ class TilesSource(Source):
                 self._pool.insert(*content, reserved_rows=reserved_count)
         has_rewritten = self._rewrite(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
-        is_same = self._last is not None and self._last.drawn == frame.drawn
+        is_same = (
+            self._last_session_frame is not None and self._last_session_frame.drawn == frame.drawn
+        )
         is_same = is_same and not (frame.arrivals or frame.evicted or has_rewritten)
-        self._change_count += not is_same
-        self._last = frame
+        self._drawing_change_count += not is_same
+        self._last_session_frame = frame
         return frame
 
     def _rewrite(self, frame: SessionFrame, camera: Camera) -> bool:
         """Write new Gaussians of tiles' ONNX generators into the tiles' slots of the splat pool."""
-        if self._neural is None:
+        if self._neural_tiles is None:
             return False
         for tile in frame.evicted:
-            self._neural.evict(tile)
+            self._neural_tiles.evict(tile)
         for arrival in frame.arrivals:
             if arrival.is_last:
-                self._neural.arrive(arrival)
-        updates = self._neural.frame(
+                self._neural_tiles.arrive(arrival)
+        updates = self._neural_tiles.frame(
             camera,
             self._values,
             [drawn.tile for drawn in frame.drawn],
@@ -171,12 +177,12 @@ class TilesSource(Source):
 
     @property
     def _pending_generators(self) -> int:
-        return len(self._neural.pending_tiles) if self._neural else 0
+        return len(self._neural_tiles.pending_tiles) if self._neural_tiles else 0
 
     def interrupt(self) -> None:
         """Stop the runs of tiles' ONNX generators; these tiles then draw their stored splats."""
-        if self._neural:
-            self._neural.interrupt()
+        if self._neural_tiles:
+            self._neural_tiles.interrupt()
 
     def abandon(self) -> None:
         """Discard no tile request: tiles that arrive after this frame are drawn in the next one."""
@@ -189,7 +195,7 @@ class TilesSource(Source):
     @property
     def state(self) -> tuple[int, ...]:
         """A counter of the frames in which the drawn tiles changed."""
-        return (id(self._pool), self._change_count)
+        return (id(self._pool), self._drawing_change_count)
 
     @property
     def follows_camera(self) -> bool:
@@ -199,26 +205,30 @@ class TilesSource(Source):
     @property
     def is_streaming(self) -> bool:
         """Whether the picture still changes under a fixed camera, while tiles arrive or fade."""
-        is_complete = self._last is not None and self._last.is_complete
+        is_complete = self._last_session_frame is not None and self._last_session_frame.is_complete
         return not is_complete or self._pending_generators > 0
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
         """Statistics for display: drawn and missing tiles, received bytes, hit rate, open models."""
-        if self._last is None:
+        if self._last_session_frame is None:
             return ()
         metrics = self._session.metrics
-        missing = f", {self._last.missing} missing" if self._last.missing else ""
+        missing = (
+            f", {self._last_session_frame.missing} missing"
+            if self._last_session_frame.missing
+            else ""
+        )
         used = self._pool.slots - self._pool.free_slots
         rows = (
-            ("tiles", f"{len(self._last.drawn)} drawn{missing}"),
+            ("tiles", f"{len(self._last_session_frame.drawn)} drawn{missing}"),
             ("pool", f"{100 * used / self._pool.slots:.0f} % of {len(self._pool):,} rows"),
             ("received", f"{format_mebibytes(metrics.bytes)} in {metrics.requests} requests"),
             ("hits", f"{100 * metrics.hit_rate:.0f} %, {metrics.hole_frames} frames with holes"),
         )
-        if self._neural is None:
+        if self._neural_tiles is None:
             return rows
-        neural = self._neural
+        neural = self._neural_tiles
         models = format_mebibytes(neural.bytes)
         text = f"{len(neural.open_tiles)} open, {neural.runs} runs, models of {models}"
         return (*rows, ("generators", text))

@@ -179,14 +179,14 @@ class _ContentReader:
     """Reads, decodes and measures content files of tiles; safe to use from many threads."""
 
     def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
-        self._inspected, self._decode, self._deadline = inspected, decode, deadline
+        self._inspected_tileset, self._decode, self._deadline = inspected, decode, deadline
 
     def read(self, tile: Tile | None, content: Content) -> _FileResult:
         """Read a tile's content; splats are decoded unless the time limit has passed."""
         result = _FileResult(is_late=self._decode and time.monotonic() > self._deadline)
-        record = self._inspected.record
+        record = self._inspected_tileset.record
         try:
-            store = self._inspected.store.for_one_tile()
+            store = self._inspected_tileset.store.for_one_tile()
             data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
             if record is not None and content.uri in record.files:
                 result.sha256 = hashlib.sha256(data).hexdigest()
@@ -209,7 +209,7 @@ class _ContentReader:
         decoded = decode_content(container, content.uri)
         splats: list[Splats] = [entry for entry, _ in decoded]
         check_values(container, splats, content.uri)
-        tileset = self._inspected.tileset
+        tileset = self._inspected_tileset.tileset
         if tile is None or tileset is None:
             return ContentValues()
         axes = tileset.content_axes

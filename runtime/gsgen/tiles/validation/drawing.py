@@ -157,7 +157,7 @@ class _TileRenderer:
         if self._is_too_large(TILE_VISIBLE_RULE, cut):
             return None
         parts = self._read(cut)
-        view = _View.around(parts, self._up)
+        view = _View.around(parts, self._scene_up_direction)
         pictures = self._pictures(
             join_placed(parts, view.center), view.cameras(_CAMERA_DISTANCE_RADII)
         )
@@ -177,7 +177,9 @@ class _TileRenderer:
             return None
         scale = float(np.cbrt(np.linalg.det(parent.transform[:3, :3])))
         view = _View.around(
-            parent_parts + child_parts, self._up, error=parent.geometric_error * scale
+            parent_parts + child_parts,
+            self._scene_up_direction,
+            error=parent.geometric_error * scale,
         )
         pairs = zip(
             self._pictures(join_placed(parent_parts, view.center), view.cameras(view.distance)),
@@ -192,7 +194,7 @@ class _TileRenderer:
         )
 
     @property
-    def _up(self) -> Float64[np.ndarray, " 3"]:
+    def _scene_up_direction(self) -> Float64[np.ndarray, " 3"]:
         return self._tileset.up
 
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
@@ -289,11 +291,11 @@ class _View:
 def _similarity(a: _RGBA, b: _RGBA) -> float:
     """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
     covered = (a[..., 3] > 0) | (b[..., 3] > 0)
-    rows, columns = (_span(np.asarray(covered.any(axis=axis))) for axis in (1, 0))
+    rows, columns = (_covered_slice(np.asarray(covered.any(axis=axis))) for axis in (1, 0))
     return ssim(a[rows, columns, :3], b[rows, columns, :3])
 
 
-def _span(covered: np.ndarray) -> slice:
+def _covered_slice(covered: np.ndarray) -> slice:
     """Return the range of covered pixels along an axis, at least as long as the SSIM window."""
     indices = np.flatnonzero(covered)
     first, last = (int(indices[0]), int(indices[-1])) if len(indices) else (0, 0)

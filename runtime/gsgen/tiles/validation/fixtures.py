@@ -80,7 +80,7 @@ def tiles_good_implicit() -> TilesetSketch:
 @_example()
 def tiles_good_neural() -> TilesetSketch:
     """Fixture: a valid tileset with a leaf tile that also holds an ONNX generator."""
-    return _neural()
+    return _neural_sketch()
 
 
 @_example("GT001")
@@ -287,7 +287,7 @@ def tiles_draft_names() -> TilesetSketch:
 @_example("GT020")
 def tiles_neural_digest() -> TilesetSketch:
     """Fixture: a tileset with an ONNX generator whose digest differs from the declared one."""
-    sketch = _neural()
+    sketch = _neural_sketch()
     extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
     extension["sha256"] = hashlib.sha256(b"another model").hexdigest()
     return sketch
@@ -313,7 +313,7 @@ def tiles_unlike_root() -> TilesetSketch:
     return explicit_sketch(edit_root=inflate_scales)
 
 
-def _neural() -> TilesetSketch:
+def _neural_sketch() -> TilesetSketch:
     from gsgen.conformance.fixtures.builders.moving import drifting_model
 
     sketch = explicit_sketch()

@@ -60,7 +60,7 @@ def validate(
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
         results = ResultCollector(registry=registry, settings=settings, kind=kind)
-        _check(results, inspected, settings.level, progress)
+        _check_tileset(results, inspected, settings.level, progress)
         size, digest = _index_digest(store, index)
     rules = [results.outcomes[id] for id in registry.rules]
     return Report(
@@ -103,7 +103,7 @@ def _inspect(
     )
 
 
-def _check(
+def _check_tileset(
     results: ResultCollector,
     inspected: InspectedTileset,
     level: Level,

@@ -35,9 +35,9 @@ class TorchArchive:
             names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
             if len(names) != 1:
                 raise ValueError(f"the zip archive has {len(names)} files data.pkl, expected one")
-            self._prefix = names[0].removesuffix("data.pkl")
-            self.is_script = f"{self._prefix}constants.pkl" in archive.namelist()
-            has_order = f"{self._prefix}byteorder" in archive.namelist()
+            self._member_prefix = names[0].removesuffix("data.pkl")
+            self.is_script = f"{self._member_prefix}constants.pkl" in archive.namelist()
+            has_order = f"{self._member_prefix}byteorder" in archive.namelist()
             self._order = ">" if has_order and self._member("byteorder") == b"big" else "<"
 
     def data(self) -> Any:
@@ -59,7 +59,7 @@ class TorchArchive:
                 "the tensor holds no floats", where=name, expected="a tensor of floats"
             )
         with unpacking(name):
-            content = self._stored(tensor.storage.key)
+            content = self._stored_bytes(tensor.storage.key)
             stored_type = "u2" if dtype == "bfloat16" else np.dtype(dtype).str[1:]
             numbers = np.frombuffer(content, f"{self._order}{stored_type}")
             strided_array = _strided_view(numbers, tensor, name)
@@ -79,7 +79,7 @@ class TorchArchive:
                 expected=f"{self._file_size} or fewer, the bytes of the file",
             )
 
-    def _stored(self, key: str) -> bytes:
+    def _stored_bytes(self, key: str) -> bytes:
         """Read the bytes of a storage, which the next tensor often shares."""
         if key != self._storage_key:
             content = self._member(f"data/{key}")
@@ -95,7 +95,7 @@ class TorchArchive:
 
     def _member(self, name: str, limit: int | None = None) -> bytes:
         """Read a file of the zip archive, after a check of its declared size."""
-        entry = self._archive.getinfo(self._prefix + name)
+        entry = self._archive.getinfo(self._member_prefix + name)
         if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
             raise NotSupported(
                 "the file in the archive is compressed",

@@ -75,7 +75,7 @@ def _numbers(text: str, metavar: str) -> tuple[float, ...]:
     return numbers
 
 
-def _numeric(edit: Callable[..., Splats], metavar: str) -> Option:
+def _numeric_edit_option(edit: Callable[..., Splats], metavar: str) -> Option:
     def parse(text: str) -> Edit:
         numbers = _numbers(text, metavar)
         return lambda splats: edit(splats, numbers)
@@ -109,11 +109,11 @@ def _floaters(text: str) -> Edit:
 
 
 EDIT_OPTIONS: Final[dict[str, Option]] = {
-    "translate": _numeric(translated, "X,Y,Z"),
-    "rotate": _numeric(rotated, "X,Y,Z"),
+    "translate": _numeric_edit_option(translated, "X,Y,Z"),
+    "rotate": _numeric_edit_option(rotated, "X,Y,Z"),
     "scale": Option("FACTOR", _scaling),
-    "box": _numeric(within_box, "X,Y,Z,X,Y,Z"),
-    "sphere": _numeric(within_sphere, "X,Y,Z,RADIUS"),
+    "box": _numeric_edit_option(within_box, "X,Y,Z,X,Y,Z"),
+    "sphere": _numeric_edit_option(within_sphere, "X,Y,Z,RADIUS"),
     "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
     "drop_floaters": Option("SIZE,COUNT", _floaters, is_row_wise=False),
     "decimate": Option("N|N%", _decimation, is_row_wise=False),

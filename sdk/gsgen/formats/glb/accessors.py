@@ -50,14 +50,16 @@ def read_accessor(
         raise HeaderMalformed(
             f"the accessor has type {width}", where=where, expected=" or ".join(names)
         )
-    stored = _stored(glb, accessor, np.dtype(_COMPONENT_DTYPES[kind]), _WIDTHS[width], where)
+    stored = _stored_array(glb, accessor, np.dtype(_COMPONENT_DTYPES[kind]), _WIDTHS[width], where)
     values = stored.astype(np.float32)
     if accessor.get("normalized") and stored.dtype.kind != "f":
         values = np.maximum(values / np.float32(np.iinfo(stored.dtype).max), -1)
     return values
 
 
-def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str) -> np.ndarray:
+def _stored_array(
+    glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str
+) -> np.ndarray:
     view = glb.item("bufferViews", accessor["bufferView"], where)
     count = require_integer(accessor.get("count"), f"{where}, count")
     value_bytes = dtype.itemsize * width

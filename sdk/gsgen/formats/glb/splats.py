@@ -57,10 +57,10 @@ def is_splats(primitive: Json) -> bool:
     has_extension = isinstance(extensions, dict) and any(
         key in extensions for key in (EXTENSION_NAME, *_SPZ)
     )
-    return has_extension or (isinstance(attributes, dict) and _is_drafted(attributes))
+    return has_extension or (isinstance(attributes, dict) and _uses_draft_attributes(attributes))
 
 
-def _is_drafted(attributes: Json) -> bool:
+def _uses_draft_attributes(attributes: Json) -> bool:
     return {"_ROTATION", "_SCALE"} <= attributes.keys()
 
 
@@ -90,7 +90,7 @@ def _color_space(extension: Json, attributes: Json, where: str) -> Literal["srgb
     if kernel != "ellipse":
         raise NotSupported(quoted(str(kernel)), where=f"{where}, kernel", expected="ellipse")
     # Drafts do not state it, whether they store SPZ or attributes of their own names.
-    if space is None and ("extensions" in extension or _is_drafted(attributes)):
+    if space is None and ("extensions" in extension or _uses_draft_attributes(attributes)):
         return "srgb"
     if not isinstance(space, str) or space not in COLOR_SPACES:
         raise NotSupported(

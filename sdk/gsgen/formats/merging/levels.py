@@ -72,7 +72,7 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     # 2. Where these cells are too many, coarser ones leave room for the largest splats. They are
     #    better where these splats are most of what is seen: merging large splats blurs most.
     if len(starts) > target and cell_depth > depth:
-        coarse_starts = _starts(cell_codes(mixture.code, cell_depth - 1))
+        coarse_starts = _cell_starts(cell_codes(mixture.code, cell_depth - 1))
         is_unmerged = _select_largest(mass, coarse_starts, int(target))
         if float(mass[is_unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
             cell_depth, starts, is_retained = cell_depth - 1, coarse_starts, is_unmerged
@@ -90,7 +90,7 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     return Level(mixture=merged, depth=cell_depth)
 
 
-def _starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+def _cell_starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
     """Return the index of the first row of each grid cell, in rows sorted by cell."""
     return np.concatenate([np.zeros(1, np.int64), np.flatnonzero(cells[1:] != cells[:-1]) + 1])
 
@@ -122,7 +122,7 @@ def _select_largest(
     # 2. How many of its cell have gone before each row.
     cell = _cell_numbers(starts, len(mass))[rows]
     by_cell = np.argsort(cell, kind="stable")
-    run = _starts(cell[by_cell])
+    run = _cell_starts(cell[by_cell])
     rank = np.empty(len(rows), np.int64)
     rank[by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
     is_added = rank + 1 < np.diff(starts, append=len(mass))[cell]

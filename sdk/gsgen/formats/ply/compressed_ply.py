@@ -41,7 +41,7 @@ def write_compressed_ply(path: FilePath, splats: Splats) -> None:
     sorted_splats = _sort_splats(splats)
     higher_count = 3 * (splats.sh.shape[1] - 1)
     with replace_file(path) as file:
-        boxes, words = _packed(sorted_splats)
+        boxes, words = _packed_chunks(sorted_splats)
         file.write(_header(len(boxes), splats, higher_count))
         file.write(boxes.astype("<f4").tobytes())
         file.write(words.astype("<u4").tobytes())
@@ -62,7 +62,7 @@ def _sort_splats(splats: Splats) -> Splats:
     )
 
 
-def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
+def _packed_chunks(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
     """Return the bounding box of each chunk of 256 splats, and four packed words per splat."""
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)

@@ -45,7 +45,9 @@ def read_packed(data: mmap.mmap, header: Header) -> tuple[Splats, dict[str, tupl
         rotation=rows.unpack_rotation(words[1]),
         log_scale=rows.unpack_in_box(words[2], box[:, 6:9], box[:, 9:12]),
         logit_opacity=logit_opacity,
-        sh=np.concatenate([constant[:, None], _higher_bands(data, header, vertex.count)], axis=1),
+        sh=np.concatenate(
+            [constant[:, None], _read_higher_sh_bands(data, header, vertex.count)], axis=1
+        ),
         antialiased=header.antialiased,
         up=header.up or DEFAULT_UP,
     )
@@ -65,7 +67,9 @@ def _read_boxes(
     return np.repeat(np.stack(columns, axis=1), rows.ROWS_PER_CHUNK, axis=0)[:count]
 
 
-def _higher_bands(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, "n k 3"]:
+def _read_higher_sh_bands(
+    data: mmap.mmap, header: Header, count: int
+) -> Float32[np.ndarray, "n k 3"]:
     element = header.find("sh")
     if element is None:
         return np.empty((count, 0, 3), np.float32)

@@ -79,7 +79,7 @@ def _diagonalize(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quate
     """
     xx, xy, xz, yy, yz, zz = covariance
     trace = xx + yy + zz
-    axis, third_eigenvalue = _separate_axis(covariance, trace * (1 / 3))
+    axis, third_eigenvalue = _separate_principal_axis(covariance, trace * (1 / 3))
     # The rotation 1 + vz − vy i + vx j has the columns u, t and v.
     vx, vy, vz = axis
     w = 1 + vz
@@ -112,7 +112,9 @@ def _diagonalize(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quate
     return variances, quaternion
 
 
-def _separate_axis(covariance: Float64[np.ndarray, "6 n"], mean: Column) -> tuple[Vectors, Column]:
+def _separate_principal_axis(
+    covariance: Float64[np.ndarray, "6 n"], mean: Column
+) -> tuple[Vectors, Column]:
     """Return the eigenvector whose eigenvalue is farthest from the others, and that eigenvalue.
 
     The eigenvalues are mean + spread β, for the roots β of β³ − 3β − det B, where B is the

@@ -28,7 +28,7 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
         FileTruncated: The image has too few pixels.
         HeaderMalformed: The image has far too many pixels, or another ``width``.
     """
-    pillow_module = _pillow(where)
+    pillow_module = _import_pillow(where)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pillow_module.DecompressionBombWarning)
@@ -62,14 +62,14 @@ def encode_image(pixels: Image, width: int | None = None) -> bytes:
     table = np.zeros((-(-len(pixels) // width) * width, 4), np.uint8)
     table[: len(pixels)] = pixels
     stream = BytesIO()
-    image = _pillow("WebP").fromarray(table.reshape(-1, width, 4))
+    image = _import_pillow("WebP").fromarray(table.reshape(-1, width, 4))
     # Higher qualities take ten times as long for 0.1 % of the bytes. `exact` keeps the colours
     # of transparent pixels.
     image.save(stream, "WEBP", lossless=True, exact=True, method=4, quality=70)
     return stream.getvalue()
 
 
-def _pillow(where: str) -> ModuleType:
+def _import_pillow(where: str) -> ModuleType:
     try:
         from PIL import Image as pillow  # noqa: N813 -- a module
     except ImportError as error:

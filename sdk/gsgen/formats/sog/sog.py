@@ -188,7 +188,7 @@ def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
         rotation=_rotations(image("quats")),
         log_scale=meta.codebook("scales")[image("scales")[:, :3]],
         logit_opacity=logit(color[:, 3] / np.float32(255)),
-        sh=np.concatenate([constant[:, None], _higher_bands(meta, fetch_image)], axis=1),
+        sh=np.concatenate([constant[:, None], _decode_higher_sh_bands(meta, fetch_image)], axis=1),
         antialiased=meta.antialiased,
     )
     return splats
@@ -210,7 +210,7 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
     return rotation
 
 
-def _higher_bands(
+def _decode_higher_sh_bands(
     meta: Meta, fetch_image: Callable[[str, int], bytes]
 ) -> Float32[np.ndarray, "n k 3"]:
     """Return the SH coefficients above degree 0 of each splat, from the palette of a SOG file."""

@@ -51,7 +51,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         ranges[index].append((offset, count))
     parts: list[Splats] = []
     for index in sorted(ranges):
-        used_bytes = sum(_bytes_of(part) for part in parts)
+        used_bytes = sum(_splat_bytes(part) for part in parts)
         splats = read(names[index], max_bytes - used_bytes)
         rows = [np.arange(offset, offset + count) for offset, count in sorted(ranges[index])]
         selected = np.concatenate(rows)
@@ -73,8 +73,8 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
     if environment is not None:
         if not _is_inside(environment):
             raise HeaderMalformed(quoted(str(environment)), where=f"{STREAMED_META}, environment")
-        parts.append(read(environment, max_bytes - sum(_bytes_of(part) for part in parts)))
-    if sum(_bytes_of(part) for part in parts) > max_bytes:
+        parts.append(read(environment, max_bytes - sum(_splat_bytes(part) for part in parts)))
+    if sum(_splat_bytes(part) for part in parts) > max_bytes:
         raise SizeExceeded(
             "the splats of all files take more memory than allowed",
             expected=f"{max_bytes} bytes or fewer",
@@ -82,7 +82,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
     return join_splats(parts)
 
 
-def _bytes_of(splats: Splats) -> int:
+def _splat_bytes(splats: Splats) -> int:
     return sum(getattr(splats, name).nbytes for name in SPLAT_ARRAY_NAMES)
 
 

@@ -214,7 +214,10 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED
-    meta["means"] = _add_means(steps, images) | {"mins": low.tolist(), "maxs": high.tolist()}
+    meta["means"] = _add_position_images(steps, images) | {
+        "mins": low.tolist(),
+        "maxs": high.tolist(),
+    }
     del steps
     meta["scales"] = _add_scales(
         _finite_scales(_column(splats, lambda part: part.log_scale)), images
@@ -228,7 +231,7 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     return images.files | {META_FILE: json.dumps(meta, separators=(",", ":")).encode()}
 
 
-def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
+def _add_position_images(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
     """Encode positions as two SOG images, of low and high bytes; return their JSON description."""
     low = images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8))
     high = images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8))

@@ -102,15 +102,15 @@ def unpack(data: Data, max_bytes: int) -> Frame:
     if (
         data[:4] == MAGIC and version <= NEWEST_GZIP_VERSION
     ):  # the content of the gzip stream, not compressed
-        return _unpack_plain(iter([bytes(data)]), len(data), max_bytes)
+        return _unpack_uncompressed(iter([bytes(data)]), len(data), max_bytes)
     return _unpack_zstd(data, max_bytes)
 
 
 def _unpack_gzip(data: Data, max_bytes: int) -> Frame:
-    return _unpack_plain(_inflated(data), len(data), max_bytes)
+    return _unpack_uncompressed(_inflated_chunks(data), len(data), max_bytes)
 
 
-def _inflated(data: Data) -> Iterator[bytes]:
+def _inflated_chunks(data: Data) -> Iterator[bytes]:
     """Yield the unpacked bytes of a gzip file, piece by piece."""
     unpacker = zlib.decompressobj(wbits=31)
     try:
@@ -133,10 +133,10 @@ def _inflated(data: Data) -> Iterator[bytes]:
         )
 
 
-def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
+def _unpack_uncompressed(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     """Parse the header and attributes of SPZ versions 1 to 3 from unpacked gzip data."""
     body = bytearray()
-    _append_pieces(body, pieces, _FILE_HEADER.size)
+    _append_chunks(body, pieces, _FILE_HEADER.size)
     require_length(body, 0, _FILE_HEADER.size, "header, unpacked")
     magic, version, count, degree, fraction, flags = _FILE_HEADER.unpack_from(body)
     if version > NEWEST_GZIP_VERSION:
@@ -149,7 +149,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     end = _FILE_HEADER.size + sum(parts.values())
     _require_memory(end, max_bytes)
     # One more byte than needed, which reveals excess data.
-    _append_pieces(body, pieces, end + (_MAX_EXTENSIONS if flags & _EXTENDED_FLAG else 1))
+    _append_chunks(body, pieces, end + (_MAX_EXTENSIONS if flags & _EXTENDED_FLAG else 1))
     require_length(body, _FILE_HEADER.size, end - _FILE_HEADER.size, f"{count} splats, unpacked")
     trailing_bytes = body[end:]
     if trailing_bytes and not flags & _EXTENDED_FLAG:
@@ -176,7 +176,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     )
 
 
-def _append_pieces(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
+def _append_chunks(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
     for piece in pieces if len(body) < length else ():
         body += piece
         if len(body) >= length:

@@ -80,10 +80,10 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: AxisSigns | None =
         fractional_bits=frame.fractional_bits,
         antialiased=frame.antialiased,
     )
-    return _flipped(splats, frame.signs if signs is None else signs)
+    return _with_flipped_axes(splats, frame.signs if signs is None else signs)
 
 
-def _flipped(splats: Splats, signs: AxisSigns) -> Splats:
+def _with_flipped_axes(splats: Splats, signs: AxisSigns) -> Splats:
     """Convert splats to other coordinate axes, exactly as the library nianticlabs/spz does.
 
     That code treats the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, as odd in y. It is
@@ -131,7 +131,7 @@ def write_spz(
         require_drawable(splats)
         fraction = _fractional_bits(float(np.abs(splats.position).max()), version)
         content = streams.encode(
-            _flipped(splats, axis_signs(axes)),
+            _with_flipped_axes(splats, axis_signs(axes)),
             version=version,
             fractional_bits=fraction,
             sh_bits=sh_bits,
@@ -173,7 +173,7 @@ def write_spz_parts(
         degree, antialiased = 0, False
         for part in parts:
             degree, antialiased = part.degree, part.antialiased
-            flipped_splats = _flipped(part, axis_signs(SPZ_AXES))
+            flipped_splats = _with_flipped_axes(part, axis_signs(SPZ_AXES))
             content = streams.encode(
                 flipped_splats, version=VERSION, fractional_bits=fraction, sh_bits=SH_BITS
             )

@@ -106,14 +106,14 @@ class _WrappedGenerator(GaussianGenerator):
         return Gaussians(**selected)
 
     def _select_tensor(self, result: Any, field: str, selector: OutputSelector) -> Any:
-        value = self._extract(result, field, selector)
+        value = self._extract_field(result, field, selector)
         if isinstance(value, Cells if field == "cells" else Tensor):
             return value
         expected = "gsgen.sdk.Cells" if field == "cells" else "a tensor"
         message = f"is {type(value).__name__}, expected {expected}"
         raise GeneratorInvalid(message, where=self._location(field, selector))
 
-    def _extract(self, result: Any, field: str, selector: OutputSelector) -> Any:
+    def _extract_field(self, result: Any, field: str, selector: OutputSelector) -> Any:
         if callable(selector):
             return selector(result)
         if isinstance(result, Tensor):
@@ -127,7 +127,7 @@ class _WrappedGenerator(GaussianGenerator):
             except (LookupError, TypeError):
                 pass
         kind = type(self.module).__name__
-        message = f"{kind} returns {_describe(result)}, which has no {selector!r}"
+        message = f"{kind} returns {_describe_model_result(result)}, which has no {selector!r}"
         raise GeneratorInvalid(message, where=self._location(field, selector))
 
     @staticmethod
@@ -138,7 +138,7 @@ class _WrappedGenerator(GaussianGenerator):
         return f"wrap, outputs[{field!r}] = {source}"
 
 
-def _describe(result: Any) -> str:
+def _describe_model_result(result: Any) -> str:
     """Describe the result of a user's torch module for an error message: type, shape, keys."""
     if isinstance(result, Mapping):
         return f"a dict of {', '.join(repr(key) for key in result)}"

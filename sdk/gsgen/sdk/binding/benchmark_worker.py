@@ -63,7 +63,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
                 for k in range(job["frames"] + _WARM_UP_FRAMES)
             ]
         )[_WARM_UP_FRAMES:]
-        return _facts(session, times) | {
+        return _benchmark_facts(session, times) | {
             "create_seconds": opened_at - start,
             "first_frame_seconds": first,
         }
@@ -89,7 +89,7 @@ def _read_outputs(session: FrameSession, frame: Any) -> None:
         frame[name]
 
 
-def _facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
+def _benchmark_facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
     total, copy_times = times[:, 0], times[:, 1] + times[:, 2]
     p50, p95 = np.percentile(total, [50, 95])
     share = float(np.clip(np.median(copy_times) / p50, 0, 1))

@@ -119,7 +119,7 @@ class DeviceBuffer(Buffer):
         super().__init__(shape, dtype)
         self._host_memory = host_memory
         self._array: np.ndarray | None = None
-        self._written = False
+        self._is_written = False
         self._is_webgpu_memory = memory == "gpu"
         if self._is_webgpu_memory:  # such buffers belong to a session
             create_buffer = session.create_ortvalue_from_shape_and_type
@@ -130,7 +130,7 @@ class DeviceBuffer(Buffer):
     def write(self, array: np.ndarray) -> bool:
         """Copy an array to the tensor's device memory, unless that holds the same bits."""
         host = self.host
-        if self._written and same_bits(host, array):
+        if self._is_written and same_bits(host, array):
             return False
         host[...] = array
         self.upload()
@@ -139,7 +139,7 @@ class DeviceBuffer(Buffer):
     def upload(self) -> None:
         """Copy the tensor's array in host memory to the device."""
         self.value.update_inplace(self.host)
-        self._written = True
+        self._is_written = True
 
     def read(self) -> np.ndarray:
         """Copy the tensor from device memory to the host, always into the same array."""

@@ -89,7 +89,7 @@ class InputBinding:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
             raise self._invalid_error(f"the value is {array.dtype}, expected {self.dtype}")
-        return self._converted(array)
+        return self._converted_to_dtype(array)
 
     def default(self) -> np.ndarray:
         """Return the tensor that a model input has until the caller sets a value."""
@@ -98,7 +98,7 @@ class InputBinding:
         tensor = default_tensor(self.declared, self.shape)
         return np.ascontiguousarray(tensor.T if self.transposed else tensor, self.dtype)
 
-    def _converted(self, array: np.ndarray) -> np.ndarray:
+    def _converted_to_dtype(self, array: np.ndarray) -> np.ndarray:
         if self.dtype.kind in "iu" and array.size:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):

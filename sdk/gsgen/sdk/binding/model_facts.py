@@ -103,7 +103,8 @@ class ModelFacts:
             return [probes[min(k, len(probes) - 1)].inputs for k in _PROBE_INDICES]
         rng = np.random.default_rng(0)
         return [
-            {port.name: _random(port, rng, max_value) for port in entries} for max_value in (1, 2)
+            {port.name: _random_input(port, rng, max_value) for port in entries}
+            for max_value in (1, 2)
         ]
 
     @property
@@ -125,7 +126,7 @@ class ModelFacts:
                     yield dim.dim_param or f"{value.name}[{axis}]", size
 
 
-def _random(port: InputBinding, rng: np.random.Generator, max_value: int) -> np.ndarray:
+def _random_input(port: InputBinding, rng: np.random.Generator, max_value: int) -> np.ndarray:
     return np.asarray(rng.uniform(0, max_value, port.shape).round(3)).astype(port.dtype)
 
 

@@ -136,7 +136,7 @@ def export_constant(
     outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
     with atomic_write(path) as draft:
         _save(_model(outputs, manifest, opset), draft)
-        _check(draft, outputs)
+        _check_written_model(draft, outputs)
         report = check_contract(draft, options, must_conform=not packed.passes_through)
     return Exported(
         path=path,
@@ -193,7 +193,7 @@ def write_constant(
     """
     outputs = _outputs(rows, appearance, manifest, len(rows) if count is None else count)
     _save(_model(outputs, manifest, opset), path)
-    _check(path, outputs)
+    _check_written_model(path, outputs)
 
 
 def _outputs(
@@ -264,7 +264,7 @@ def _save(model: ModelProto, path: Path) -> None:
     )
 
 
-def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
+def _check_written_model(path: Path, outputs: dict[str, np.ndarray]) -> None:
     """Run an exported static scene once; raise unless its outputs equal the source bit for bit."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
     with execute(path, list(outputs), [Probe(label="no inputs", inputs={})], limits) as execution:

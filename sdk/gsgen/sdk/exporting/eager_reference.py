@@ -161,10 +161,10 @@ def _reference(
     if checked and not probe.zeros:
         check_gaussians(output, count, probe.label)
     cells = None if output.cells is None else _unpacked_cells(output.cells)
-    return Reference(probe, _unpacked(output), count, cells)
+    return Reference(probe, _decode_gaussians(output), count, cells)
 
 
-def _unpacked(gaussians: Gaussians) -> layout.DecodedGaussians:
+def _decode_gaussians(gaussians: Gaussians) -> layout.DecodedGaussians:
     return layout.DecodedGaussians(
         position=_array(gaussians.position),
         opacity=_array(gaussians.opacity).reshape(-1),
@@ -216,11 +216,11 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
 
 def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
     """Return the bounding box of the visible Gaussians' centres, or None without any."""
-    points = reference.gaussians.position[: reference.count][_visible(reference)]
+    points = reference.gaussians.position[: reference.count][_visible_rows(reference)]
     return (points.min(axis=0), points.max(axis=0)) if len(points) else ()
 
 
-def _visible(reference: Reference) -> np.ndarray:
+def _visible_rows(reference: Reference) -> np.ndarray:
     g, n = reference.gaussians, reference.count
     is_finite = np.isfinite(g.position[:n]).all(axis=1)
     return np.asarray(is_finite & (g.opacity[:n] >= layout.CULL_OPACITY))

@@ -164,7 +164,9 @@ def export(
         # Steps 5 to 7: verification, validation and atomic write.
         with atomic_write(path) as draft:
             save_model(rewritten.model, draft)
-            verification_result = _verify(draft, prepared, rewritten, options, vectors, pictures)
+            verification_result = _verify_exported_model(
+                draft, prepared, rewritten, options, vectors, pictures
+            )
             report = check_contract(draft, options)
     gaussians = rewritten.manifest.outputs.gaussians
     assert gaussians is not None
@@ -220,7 +222,7 @@ def _rewrite(
     return _RewrittenModel(model, float16_manifest(manifest), changes, halved)
 
 
-def _verify(
+def _verify_exported_model(
     draft: Path,
     prepared: PreparedExport,
     rewritten: _RewrittenModel,

@@ -121,11 +121,12 @@ def _lost_inputs(
         for (role, _), outputs, reference in zip(
             changed_probes, outputs_of_runs[1:], expected[1:], strict=True
         )
-        if _equal(outputs_of_runs[0], outputs) and not references_equal(expected[0], reference)
+        if _are_outputs_equal(outputs_of_runs[0], outputs)
+        and not references_equal(expected[0], reference)
     ]
 
 
-def _equal(a: ModelOutput, b: ModelOutput) -> bool:
+def _are_outputs_equal(a: ModelOutput, b: ModelOutput) -> bool:
     pairs = [(a.rows, b.rows), (a.color, b.color)]
     if a.cells is not None and b.cells is not None:
         pairs.append((a.cells, b.cells))

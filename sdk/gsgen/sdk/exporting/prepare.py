@@ -114,7 +114,7 @@ def prepare_export(
         # Bounds need every probe that the validator has; a quick comparison takes some of them.
         indices = np.linspace(1, len(all_runs) - 1, compared).round().astype(int)
         compared_probes = [all_runs.probes[index] for index in (0, *indices)]
-        references = all_runs.with_probes([*compared_probes, *_far_probes(manifest)])
+        references = all_runs.with_probes([*compared_probes, *_far_camera_probes(manifest)])
         example = all_runs.probes[1]
     return PreparedExport(
         generator=generator,
@@ -192,7 +192,7 @@ def manifest_of(
     )
 
 
-def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
+def _far_camera_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
     """Yield test inputs with cameras inside the scene and far outside of it.
 
     All other inputs are sampled with another seed.

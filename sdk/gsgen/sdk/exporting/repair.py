@@ -111,7 +111,7 @@ def repair(
         if manifest.operator_profile is not None:
             manifest = with_profile(manifest, model)
         model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
-    with _draft_copy(target, source) as draft:
+    with _copy_to_draft(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)
         after = validate(draft, settings)
         refuse_new_violations(before, after, "repaired")
@@ -121,7 +121,7 @@ def repair(
 
 
 @contextmanager
-def _draft_copy(target: Path | None, source: Path) -> Iterator[Path]:
+def _copy_to_draft(target: Path | None, source: Path) -> Iterator[Path]:
     """Yield a temporary path for the repaired model, which is renamed at the end or deleted."""
     if target is not None:
         with atomic_write(target) as draft:

@@ -42,7 +42,7 @@ def check_gaussians(gaussians: Gaussians, count: int, inputs: str) -> None:
         _refuse_logits(gaussians.opacity[:count].reshape(-1))
     if gaussians.rotation is not None:
         is_drawn = gaussians.opacity[:count].reshape(-1) >= CULL_OPACITY
-        _refuse_no_rotation(gaussians.rotation[:count][is_drawn], inputs)
+        _refuse_invalid_rotation(gaussians.rotation[:count][is_drawn], inputs)
 
 
 def _fields(gaussians: Gaussians, count: int) -> Iterator[tuple[str, Tensor]]:
@@ -97,7 +97,7 @@ def _refuse_logits(opacity: Tensor) -> None:
         )
 
 
-def _refuse_no_rotation(rotation: Tensor, inputs: str) -> None:
+def _refuse_invalid_rotation(rotation: Tensor, inputs: str) -> None:
     """Raise if most drawn Gaussians have a quaternion of zeros.
 
     Single ones are accepted: a trained scene may hold a few, and they are drawn unrotated.

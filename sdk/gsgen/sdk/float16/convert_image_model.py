@@ -82,7 +82,7 @@ def image_to_float16(
     computed = {node_key(nodes[k]) for k in search.quantized}
     retained_keys = {node_key(node) for node in nodes} - computed
     stored = {measure.weights[k] for k in tables.quantized}
-    _halve_input(model.graph, image)
+    _cast_input_to_float16(model.graph, image)
     ToFloat16(retained_keys, outputs=True, stored=stored)(model)
     remove_unused(model)
     retained_weights = tuple(name for name in measure.weights if name not in stored)
@@ -134,7 +134,7 @@ class _ImageErrorMeasure:
         return image.astype(np.float64)
 
 
-def _halve_input(graph: ir.Graph, name: str) -> None:
+def _cast_input_to_float16(graph: ir.Graph, name: str) -> None:
     """Make a graph input float16, and cast it to float32 for the nodes that read it."""
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})

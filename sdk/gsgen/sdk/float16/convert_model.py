@@ -170,7 +170,7 @@ def to_float16(
     other options are those of :func:`write_float16`.
     """
     if outputs:
-        _refuse_partial_words(model, manifest)
+        _refuse_odd_float16_sizes(model, manifest)
     progress("running the model in float32")
     allowed = tolerances or manifest.tolerances or Tolerances()
     measure = ErrorProbe(
@@ -198,7 +198,7 @@ def to_float16(
     for share in _TOLERANCE_SHARES:
         choice = search.choose_float16(share, progress)
         converted = model.clone()
-        _convert(converted, _with_slack(manifest, allowed), choice, outputs=outputs)
+        _convert(converted, _with_loosened_tolerances(manifest, allowed), choice, outputs=outputs)
         progress("comparing the float16 model with the float32 one")
         parity = measure.model_parity(converted, limits or Limits())
         if parity.holds:
@@ -299,7 +299,7 @@ class _ConversionSearch:
         )
 
 
-def _refuse_partial_words(model: ir.Model, manifest: GeneratorManifest) -> None:
+def _refuse_odd_float16_sizes(model: ir.Model, manifest: GeneratorManifest) -> None:
     """Raise if rows of float16 SH would not fill whole 32-bit words (rule GO015)."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
@@ -336,7 +336,9 @@ def _convert(
     remove_unused(model)
 
 
-def _with_slack(manifest: GeneratorManifest, allowed: Tolerances) -> GeneratorManifest:
+def _with_loosened_tolerances(
+    manifest: GeneratorManifest, allowed: Tolerances
+) -> GeneratorManifest:
     """Return a manifest with float16 rounding errors added to its test vectors' tolerances."""
     vectors = []
     for vector in manifest.test_vectors:

@@ -155,12 +155,12 @@ class ErrorProbe:
                 probes,
                 limits.for_model(size + self.frame_bytes),
                 frame_bytes=self.frame_bytes,
-                failure=_cannot_run,
+                failure=_cannot_run_error,
             )
             return self._compare(references, (self._read(outputs) for outputs in runs))
 
 
-def _cannot_run(message: str, hint: str) -> RewriteFailed:
+def _cannot_run_error(message: str, hint: str) -> RewriteFailed:
     message = f"ONNX Runtime cannot run the result: {message}"
     return RewriteFailed(message, where="float16", hint=hint)
 

@@ -76,11 +76,11 @@ class InstrumentedModel:
         self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
         self._boundary_names, self._cached = list(part.boundary), _CachedConstants(b"", {})
-        _feed_tables(copy, self.weights)
+        _add_table_inputs(copy, self.weights)
         _instrument(copy, nodes, opset)
         self._session, self._constant_session = _session(copy, rounds=bool(nodes)), None
         if part.constant is not None:
-            _feed_tables(part.constant, self.weights)
+            _add_table_inputs(part.constant, self.weights)
             self._constant_session = _session(part.constant, rounds=False)
 
     def run(
@@ -159,7 +159,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
     return dict(zip(names, outputs, strict=True))
 
 
-def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
+def _add_table_inputs(model: ir.Model, names: Sequence[str]) -> None:
     """Turn weight tables into graph inputs, so that each run can feed rounded tables."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
@@ -210,7 +210,7 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
             value = required(node.inputs[index])
             before = _rounding_nodes(value, f"float16_in_{number}_{index}")
             if not is_op(node, *_MOVE_OPERATORS):
-                before += _flush_nodes(before[-1].outputs[0], smallest_normal, zero)
+                before += _flush_to_zero_nodes(before[-1].outputs[0], smallest_normal, zero)
             before.append(_select_node(flag, before[-1].outputs[0], value))
             graph.insert_before(node, before)
             node.replace_input_with(index, before[-1].outputs[0])
@@ -240,7 +240,9 @@ def _rounding_nodes(value: ir.Value, name: str) -> list[ir.Node]:
     return [half, float32_cast]
 
 
-def _flush_nodes(value: ir.Value, smallest_normal: ir.Value, zero: ir.Value) -> list[ir.Node]:
+def _flush_to_zero_nodes(
+    value: ir.Value, smallest_normal: ir.Value, zero: ir.Value
+) -> list[ir.Node]:
     size = new_node("Abs", [value], f"{value.name}_size", dtype=FLOAT)
     is_small = new_node(
         "Less", [size.outputs[0], smallest_normal], f"{value.name}_small", dtype=ir.DataType.BOOL

@@ -301,7 +301,7 @@ class Boundary:
         constant = set(constant_nodes(graph))
         # Results of constant nodes are cast once, when a model is loaded.
         self._constants = {value for node in constant for value in node.outputs}
-        self._places = {
+        self._scatter_positions = {
             node: convertible_indices(node, opset) for node in graph if node not in constant
         }
 
@@ -330,4 +330,4 @@ class Boundary:
         return (not native) in reader_halves
 
     def _float16_indices(self, node: ir.Node, keep: Collection[str]) -> tuple[list[int], list[int]]:
-        return ([], []) if node_key(node) in keep else self._places.get(node, ([], []))
+        return ([], []) if node_key(node) in keep else self._scatter_positions.get(node, ([], []))

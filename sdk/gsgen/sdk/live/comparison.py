@@ -100,13 +100,13 @@ def _model_outputs(live: LiveLevel, frame: Frame, outputs: Outputs | None) -> Mo
 def _sampled_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
     """Select the indices of Gaussians, and of groups (cells) of them, to compare; evenly spaced."""
     if outputs.cells is None or outputs.gaussians is None:
-        return _even_indices(outputs.count, _MAX_ROWS), None
+        return _evenly_spaced_indices(outputs.count, _MAX_ROWS), None
     per_cell = len(outputs.gaussians) // len(outputs.cells)
-    cells = _even_indices(-(-outputs.count // per_cell), max(1, _MAX_ROWS // per_cell))
+    cells = _evenly_spaced_indices(-(-outputs.count // per_cell), max(1, _MAX_ROWS // per_cell))
     return (cells[:, None] * per_cell + np.arange(per_cell)).ravel(), cells
 
 
-def _even_indices(count: int, most: int) -> np.ndarray:
+def _evenly_spaced_indices(count: int, most: int) -> np.ndarray:
     """Return a limited number of evenly spaced row indices."""
     if count <= most:
         return np.arange(count)

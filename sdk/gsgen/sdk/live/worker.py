@@ -149,10 +149,10 @@ class _FrameRunner:
         self.known: dict[str, int] = {}
 
     def run(self) -> None:
-        if self._phase("plain", self._run_uncaptured):
-            self._phase("captured", self._run_captured)
+        if self._run_phase("plain", self._run_uncaptured):
+            self._run_phase("captured", self._run_captured)
 
-    def _phase(self, name: str, run_frames: Callable[[], None]) -> bool:
+    def _run_phase(self, name: str, run_frames: Callable[[], None]) -> bool:
         """Run a job's frames with or without WebGPU graph capture; return False after an error."""
         self.index = -1
         try:

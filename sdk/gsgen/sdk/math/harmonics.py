@@ -28,9 +28,9 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
     Raises:
         GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
-    parts = sh.reshape(sh.shape[0], 3, -1) if _is_flat(sh) else sh
+    parts = sh.reshape(sh.shape[0], 3, -1) if _is_flat_sh(sh) else sh
     if parts.ndim != 3 or parts.shape[1] != 3 or parts.shape[2] not in SH_COEFFICIENT_COUNTS:
-        raise _misshapen("sh_from_channel_major", sh, "[N, 3, K] or [N, 3K]")
+        raise _wrong_shape_error("sh_from_channel_major", sh, "[N, 3, K] or [N, 3K]")
     return parts.transpose(1, 2)
 
 
@@ -43,9 +43,9 @@ def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 
     Raises:
         GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
-    parts = sh.reshape(sh.shape[0], -1, 3) if _is_flat(sh) else sh
+    parts = sh.reshape(sh.shape[0], -1, 3) if _is_flat_sh(sh) else sh
     if parts.ndim != 3 or parts.shape[2] != 3 or parts.shape[1] not in SH_COEFFICIENT_COUNTS:
-        raise _misshapen("sh_from_coefficient_major", sh, "[N, K, 3] or [N, 3K]")
+        raise _wrong_shape_error("sh_from_coefficient_major", sh, "[N, K, 3] or [N, 3K]")
     return parts
 
 
@@ -64,7 +64,7 @@ def sh_from_ply(
     """
     n, columns = f_rest.shape
     if constant.shape != (n, 3) or columns % 3 or columns // 3 + 1 not in SH_COEFFICIENT_COUNTS:
-        raise _misshapen("sh_from_ply, rest", f_rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
+        raise _wrong_shape_error("sh_from_ply, rest", f_rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
     if not columns:
         return constant[:, None, :]
     return torch.cat([constant[:, None, :], f_rest.reshape(n, 3, -1).transpose(1, 2)], dim=1)
@@ -95,10 +95,10 @@ def sh_of_degree(sh: Float[Tensor, "n k 3"], degree: int) -> Float[Tensor, "n l 
     return torch.cat([sh, sh.new_zeros(sh.shape[0], missing, 3)], dim=1)
 
 
-def _is_flat(sh: Tensor) -> bool:
+def _is_flat_sh(sh: Tensor) -> bool:
     return sh.ndim == 2 and sh.shape[1] % 3 == 0
 
 
-def _misshapen(where: str, sh: Tensor, expected: str) -> GeneratorInvalid:
+def _wrong_shape_error(where: str, sh: Tensor, expected: str) -> GeneratorInvalid:
     message = f"shape is {list(sh.shape)}, expected {expected} with K = 1, 4, 9 or 16"
     return GeneratorInvalid(message, where=where)

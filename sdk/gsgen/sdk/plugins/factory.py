@@ -152,13 +152,13 @@ def _import(name: str, search_folder: Path) -> Any:
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
-            raise _no_module(name, error.name, search_folder) from error
+            raise _missing_module_error(name, error.name, search_folder) from error
         raise _factory_error(error, name) from error
     except Exception as error:  # the user's code may raise anything
         raise _factory_error(error, name) from error
 
 
-def _no_module(name: str, missing_module: str, search_folder: Path) -> UnknownName:
+def _missing_module_error(name: str, missing_module: str, search_folder: Path) -> UnknownName:
     """Return the error for a module that cannot be found, with a similar file name as a hint."""
     parent = search_folder.joinpath(*missing_module.split(".")[:-1])
     prefix = missing_module.rpartition(".")[0]

@@ -51,9 +51,9 @@ def partition_constants(model: ir.Model) -> PartitionedModel:
     if not nodes:
         return PartitionedModel(None, per_frame, ())
     constant = model.clone()
-    boundary = tuple(value.name or "" for value in _read_outside(per_frame.graph, nodes))
+    boundary = tuple(value.name or "" for value in _values_read_outside(per_frame.graph, nodes))
     _keep_nodes(constant.graph, constant_nodes(constant.graph), boundary)
-    for value in list(_read_outside(per_frame.graph, nodes)):
+    for value in list(_values_read_outside(per_frame.graph, nodes)):
         _make_input(per_frame.graph, value)
     per_frame.graph.remove(nodes, safe=True)
     for part in (constant, per_frame):
@@ -61,7 +61,7 @@ def partition_constants(model: ir.Model) -> PartitionedModel:
     return PartitionedModel(constant, per_frame, boundary)
 
 
-def _read_outside(graph: ir.Graph, nodes: list[ir.Node]) -> Iterator[ir.Value]:
+def _values_read_outside(graph: ir.Graph, nodes: list[ir.Node]) -> Iterator[ir.Value]:
     inner_nodes = set(nodes)
     for node in nodes:
         for value in node.outputs:

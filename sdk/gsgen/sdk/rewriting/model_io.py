@@ -33,11 +33,11 @@ def load_model(path: Path) -> ir.Model:
         raise ModelUnreadable(message, where=str(path)) from error
     for value in _weights(model):
         if isinstance(value.const_value, ir.ExternalTensor):
-            value.const_value = _at_real_path(source, value.const_value)
+            value.const_value = _resolve_weight_path(source, value.const_value)
     return model
 
 
-def _at_real_path(model: Path, tensor: ir.ExternalTensor) -> ir.ExternalTensor:
+def _resolve_weight_path(model: Path, tensor: ir.ExternalTensor) -> ir.ExternalTensor:
     """Return an external weight without links in its path, which onnx-ir follows in a folder only."""
     path = contained_file(model, os.fspath(tensor.location))
     return ir.ExternalTensor(

@@ -133,8 +133,8 @@ def compare_files(
     ``passes`` are the names of the passes that ran, for an error.
     """
     with (
-        execute(source, outputs, probes, _limits_for(source, limits)) as old,
-        execute(rewritten, outputs, probes, _limits_for(rewritten, limits)) as new,
+        execute(source, outputs, probes, _limits_for_model(source, limits)) as old,
+        execute(rewritten, outputs, probes, _limits_for_model(rewritten, limits)) as new,
     ):
         _require_success(old, probes, source.name, "before the rewrite")
         _require_success(new, probes, passes, "after the rewrite")
@@ -149,7 +149,7 @@ def compare_files(
             }
             for difference in _differences(expected, actual, probe, allowed):
                 known = worst_difference.get(difference.output)
-                if known is None or _excess(difference) > _excess(known):
+                if known is None or _difference_excess(difference) > _difference_excess(known):
                     worst_difference[difference.output] = difference
     violations = [
         difference
@@ -158,7 +158,7 @@ def compare_files(
     ]
     if violations:
         _require_repeatable(source, outputs, probes, limits)
-        difference = max(violations, key=_excess)
+        difference = max(violations, key=_difference_excess)
         raise RewriteFailed(
             f"output {difference.output!r} differs by {difference.largest:.3g} for the test inputs {difference.probe!r}, "
             f"expected at most {difference.allowed:.3g} ({allowed.describe()})",
@@ -176,7 +176,7 @@ def _has_finite_values(value: np.ndarray) -> bool:
     return value.size > 0
 
 
-def _limits_for(model: Path, limits: Limits) -> Limits:
+def _limits_for_model(model: Path, limits: Limits) -> Limits:
     return limits.for_model(open_model(model).weight_bytes)
 
 
@@ -195,7 +195,7 @@ def _require_repeatable(
 ) -> None:
     """Raise if a model's outputs change between two runs with the same inputs."""
     doubled_probes = [probe for probe in probes for _ in range(2)]
-    with execute(model, outputs, doubled_probes, _limits_for(model, limits)) as run:
+    with execute(model, outputs, doubled_probes, _limits_for_model(model, limits)) as run:
         samples = [run.sample for run in run.runs]
     if samples[::2] != samples[1::2]:
         message = "the model gives other outputs for the same inputs, so nothing can be compared"
@@ -203,7 +203,7 @@ def _require_repeatable(
         raise RewriteFailed(message, where=model.name, hint=hint)
 
 
-def _excess(difference: Difference) -> float:
+def _difference_excess(difference: Difference) -> float:
     """Return an output difference as a multiple of the allowed one; NaN becomes infinite."""
     is_within = difference.largest <= difference.allowed
     return (
@@ -218,7 +218,7 @@ def _differences(
     allowed: ErrorBudget,
 ) -> Iterator[Difference]:
     for name, old in source.items():
-        new = _unpadded(old, rewritten[name]) if allowed.pads else rewritten[name]
+        new = _without_padding_rows(old, rewritten[name]) if allowed.pads else rewritten[name]
         if old.shape != new.shape or old.dtype != new.dtype:
             yield Difference(name, np.inf, 0.0, probe.label)
         elif old.tobytes() != new.tobytes():
@@ -241,7 +241,7 @@ def _differences(
                 )
 
 
-def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _without_padding_rows(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Remove the zero rows by which a rewrite padded an output array."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new

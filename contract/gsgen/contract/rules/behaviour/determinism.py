@@ -62,7 +62,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
         "depends_on": {input or role: false}.
     """
     for role, comparisons in behaviour.comparisons_by_role.items():
-        if not _reaches_output(behaviour.subject, role):
+        if not _does_reach_output(behaviour.subject, role):
             continue  # another rule reports it
         changes = any(comparison.changed for comparison in comparisons)
         location = _location(role)
@@ -104,7 +104,7 @@ def _zero_changes(behaviour: Behaviour, role: str) -> bool:
     return any(run.digest != behaviour.base.digest for run in zero_runs)
 
 
-def _reaches_output(subject: InspectedModel, role: str) -> bool:
+def _does_reach_output(subject: InspectedModel, role: str) -> bool:
     graph = subject.graph
     used_names = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
     return any(entry.name in used_names for entry in _inputs_of(subject, role))

@@ -29,7 +29,7 @@ _MAX_REWRITE_ERROR = 1e-2
 _MIN_INERT_SHARE = 0.5
 
 
-def _broken_runs(runs: list[ProbeRun]) -> Iterator[Violation]:
+def _failed_run_violations(runs: list[ProbeRun]) -> Iterator[Violation]:
     for run in runs:
         if run.error:
             yield Violation.at("ONNX Runtime", f"{run.error} ({run.probe.label})", "no error")
@@ -50,7 +50,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Clamp under the square root, and before division and logarithm.
     """
-    yield from _broken_runs(behaviour.trial_runs("edges"))
+    yield from _failed_run_violations(behaviour.trial_runs("edges"))
 
 
 @rule("GI010", Severity.WARNING, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"))
@@ -64,7 +64,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Clip inputs to their range inside the model.
     """
-    yield from _broken_runs(behaviour.trial_runs("outside"))
+    yield from _failed_run_violations(behaviour.trial_runs("outside"))
 
 
 @rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=MANIFEST_KINDS)

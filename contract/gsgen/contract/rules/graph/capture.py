@@ -233,7 +233,7 @@ def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
         if not doubtful_names.isdisjoint(node.input):
             doubtful_names.add(output_name)
             continue
-        if placement.cause or not _makes_int64(subject, placement):
+        if placement.cause or not _does_make_int64(subject, placement):
             continue
         span = spans.get(output_name)
         if span is None or not (span[0] >= _INT32_MIN and span[1] <= _INT32_MAX):
@@ -241,7 +241,7 @@ def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
             yield _range_violation(placement, span)
 
 
-def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
+def _does_make_int64(subject: InspectedModel, placement: Placement) -> bool:
     tensor = subject.graph.tensors.get(placement.node.output[0])
     return tensor is not None and tensor.dtype == "int64"
 
@@ -284,16 +284,16 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
         if not graph.varies(tensor.name):
             continue
         producer = graph.producers.get(tensor.name)
-        if producer is not None and _copies_input(graph, producer):
+        if producer is not None and _does_copy_input(graph, producer):
             yield Violation.at(location, f"made by {producer.op_type}", "an operator that computes")
         for node in graph.ancestors(tensor.name)[1]:
-            if node.op_type in _SCATTER_OPERATORS and _shares_base(graph, node):
+            if node.op_type in _SCATTER_OPERATORS and _does_share_base(graph, node):
                 location = f"node {node.name or node.op_type} ({node.op_type})"
                 actual = "updates a tensor that others read"
                 yield Violation.at(location, actual, "Where or Concat")
 
 
-def _copies_input(graph: Graph, node: NodeProto) -> bool:
+def _does_copy_input(graph: Graph, node: NodeProto) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
     is_idle = any(
@@ -306,6 +306,6 @@ def _copies_input(graph: Graph, node: NodeProto) -> bool:
     return is_copy(node.op_type, len(node.input), keeps_all_axes=is_idle and empty and not has_axes)
 
 
-def _shares_base(graph: Graph, node: NodeProto) -> bool:
+def _does_share_base(graph: Graph, node: NodeProto) -> bool:
     base = node.input[0]
     return base not in graph.producers or graph.use_counts.get(base, 0) > 1

@@ -94,12 +94,12 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
         shape = shape_of(subject, entry)
         if entry.default is None or shape is None:
             continue
-        fault = _default_fault(entry, shape)
+        fault = _default_value_fault(entry, shape)
         if fault is not None:
             yield Violation.at(_input_location(entry), *fault)
 
 
-def _default_fault(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
+def _default_value_fault(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     """Return the fault of an input's default value, and the expected value; None if it fits."""
     default = entry.default
     is_quaternion_pose = entry.role == "pose" and shape[-1:] == (_QUATERNION,)

@@ -115,12 +115,12 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     for name in declared:
         if name not in inputs:
             yield Violation.at(
-                f"manifest input {name!r}", "no such graph input", _one_of_text(inputs)
+                f"manifest input {name!r}", "no such graph input", _one_of_names_text(inputs)
             )
     for name in subject.output_names:
         if name not in outputs:
             yield Violation.at(
-                f"manifest output {name!r}", "no such graph output", _one_of_text(outputs)
+                f"manifest output {name!r}", "no such graph output", _one_of_names_text(outputs)
             )
     for names in (declared, list(subject.output_names)):
         for name in sorted({entry for entry in names if names.count(entry) > 1}):
@@ -129,7 +129,7 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-def _one_of_text(names: list[str]) -> str:
+def _one_of_names_text(names: list[str]) -> str:
     names_text = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
     return f"one of {names_text}" if names else "a tensor that exists; the graph has none"
 

@@ -25,7 +25,7 @@ def _digest(path: Path) -> str:
     return hasher.hexdigest()
 
 
-def _fault(model: Path, location: str, sha256: str) -> tuple[str, str] | None:
+def _side_file_fault(model: Path, location: str, sha256: str) -> tuple[str, str] | None:
     """Return the fault of a file beside the model, and the expected value; None if valid."""
     try:
         actual = _digest(contained_file(model, location))
@@ -59,7 +59,7 @@ def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
 
 def _check_files(where: str, files: tuple[VectorFile, ...], model: Path) -> Iterator[Violation]:
     for file in files:
-        fault = _fault(model, file.path, file.sha256)
+        fault = _side_file_fault(model, file.path, file.sha256)
         if fault is not None:
             yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
 
@@ -82,6 +82,6 @@ def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if entry.path not in used_locations:
             yield Violation.at(where, "no weight lies there", "a file that the model uses")
             continue
-        fault = _fault(subject.file.loading_path, entry.path, entry.sha256)
+        fault = _side_file_fault(subject.file.loading_path, entry.path, entry.sha256)
         if fault is not None:
             yield Violation.at(where, *fault)

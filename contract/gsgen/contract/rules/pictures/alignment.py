@@ -53,10 +53,13 @@ def measure_alignment(sample: DrawnSample) -> Alignment | None:
     """Measure how discs or needles align with neighbouring Gaussians; None without such shapes."""
     scatter = sample.scatter_eigenvalues
     disc_mask, needle_mask = is_of_shape(sample, 0), is_of_shape(sample, 2)
-    if _is_enough(disc_mask) and (limit := scatter[disc_mask, 0].mean()) < MAX_PLANAR_SCATTER:
+    if _has_enough_rows(disc_mask) and (limit := scatter[disc_mask, 0].mean()) < MAX_PLANAR_SCATTER:
         share = sample.neighbour_alignment(0)[disc_mask].mean()
         return Alignment(float((share - limit) / (RANDOM_DEVIATION - limit)), 0, "plane")
-    if _is_enough(needle_mask) and (limit := scatter[needle_mask, 2].mean()) > MIN_LINEAR_SCATTER:
+    if (
+        _has_enough_rows(needle_mask)
+        and (limit := scatter[needle_mask, 2].mean()) > MIN_LINEAR_SCATTER
+    ):
         share = sample.neighbour_alignment(2)[needle_mask].mean()
         return Alignment(float((limit - share) / (limit - RANDOM_DEVIATION)), 2, "line")
     return None
@@ -72,5 +75,5 @@ def is_of_shape(sample: DrawnSample, axis: Literal[0, 2]) -> Bool[np.ndarray, " 
     )
 
 
-def _is_enough(mask: Bool[np.ndarray, " m"]) -> bool:
+def _has_enough_rows(mask: Bool[np.ndarray, " m"]) -> bool:
     return bool(mask.mean() >= _MIN_SHAPE_SHARE and np.count_nonzero(mask) >= MIN_DRAWN_ROWS // 2)

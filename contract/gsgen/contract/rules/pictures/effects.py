@@ -53,7 +53,7 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
             continue
         base = _run_outputs(behaviour, behaviour.base)
         variants = [_run_outputs(behaviour, run) for run in behaviour.runs(indices)]
-        if not any(_differs(base, variant, tolerances) for variant in variants):
+        if not any(_do_outputs_differ(base, variant, tolerances) for variant in variants):
             actual = f"its {len(variants)} variations change nothing beyond the tolerances"
             expected = "a visible effect, or depends_on false"
             yield Violation.at(f"role {role}", actual, expected, certainty="possible")
@@ -79,8 +79,10 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
         ends = [outputs for value, outputs in series if value in (low, high)]
         if len(inner) < _MIN_INSTANTS or not ends:
             continue
-        is_still = not any(_differs(inner[0], outputs, tolerances) for outputs in inner[1:])
-        if is_still and any(_differs(inner[0], outputs, tolerances) for outputs in ends):
+        is_still = not any(
+            _do_outputs_differ(inner[0], outputs, tolerances) for outputs in inner[1:]
+        )
+        if is_still and any(_do_outputs_differ(inner[0], outputs, tolerances) for outputs in ends):
             actual = f"{len(inner)} instants within {low:g} to {high:g} are the same; only an end differs"
             expected = "change throughout the range"
             yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
@@ -167,7 +169,7 @@ def _run_outputs(behaviour: Behaviour, run: ProbeRun) -> ModelOutputs:
     return read_outputs(behaviour.subject, run.probe.label, run.outputs)
 
 
-def _differs(a: ModelOutputs, b: ModelOutputs, tolerances: tuple[Tolerance, ...]) -> bool:
+def _do_outputs_differ(a: ModelOutputs, b: ModelOutputs, tolerances: tuple[Tolerance, ...]) -> bool:
     """Return whether two model runs differ in visible Gaussians, beyond the tolerances."""
     same_count = a.count == b.count
     return not same_count or next(field_errors(a, b, tolerances), None) is not None

@@ -67,9 +67,9 @@ def _possible_orders(
 ) -> Iterator[tuple[str, Float[np.ndarray, "e k 3"]]]:
     """Yield view-dependent SH coefficients in the column order of each file format, with names."""
     higher_degrees = color[:, 3:]
-    yield "f_rest is read channel-major, as in a 3DGS PLY", _by_channel(higher_degrees)
+    yield "f_rest is read channel-major, as in a 3DGS PLY", _split_by_channel(higher_degrees)
     degrees = np.split(higher_degrees, [9, 24], axis=1)
-    parts = [_by_channel(columns) for columns in degrees if columns.shape[1]]
+    parts = [_split_by_channel(columns) for columns in degrees if columns.shape[1]]
     yield "each degree is read channel-major", np.concatenate(parts, axis=1)
     length = color.shape[1] // 3
     if length > _DEGREE_1_LENGTH:
@@ -86,7 +86,7 @@ def _possible_orders(
         yield name, columns.reshape(len(color), -1, 3)
 
 
-def _by_channel(columns: Float[np.ndarray, "e c"]) -> Float[np.ndarray, "e k 3"]:
+def _split_by_channel(columns: Float[np.ndarray, "e c"]) -> Float[np.ndarray, "e k 3"]:
     return columns.reshape(len(columns), 3, -1).transpose(0, 2, 1)
 
 

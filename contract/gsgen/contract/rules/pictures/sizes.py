@@ -141,7 +141,7 @@ def _find_mistake(sample: DrawnSample, ratio: float) -> str:
         if high == _SMALL_SIZE_RATIO and not _may_be_too_small(sample, revert_mistake):
             continue
         corrected_ratio = float(np.median(revert_mistake(sigma).max(axis=1) / spacing))
-        if mistake == _NOT_SQUARED_TEXT and not _may_be_roots(sample):
+        if mistake == _NOT_SQUARED_TEXT and not _may_be_square_roots(sample):
             continue
         if low < ratio < high and _USUAL_RATIO_RANGE[0] <= corrected_ratio <= largest:
             return mistake
@@ -168,7 +168,7 @@ def _follows_neighbours(sample: DrawnSample) -> bool:
     return alignment is not None and alignment.deviation <= MAX_FITTING_DEVIATION
 
 
-def _may_be_roots(sample: DrawnSample) -> bool:
+def _may_be_square_roots(sample: DrawnSample) -> bool:
     """Return whether Gaussians would have the shapes of discs or needles if sizes were squared."""
     thickness = float(np.median(sample.sigma[:, 0] / sample.sigma[:, 2]))
     is_thick = _THICKNESS_RANGE[0] <= thickness <= _THICKNESS_RANGE[1] and (

@@ -44,7 +44,7 @@ def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation
         turned_outputs = _outputs(behaviour.subject, run)
         if base is None or turned_outputs is None:
             return
-        rows = _drawn_in_both(base, turned_outputs)
+        rows = _rows_drawn_in_both(base, turned_outputs)
         if np.count_nonzero(rows) < _MIN_ROWS:
             return
         yield from _field_changes(base, turned_outputs, rows)
@@ -108,7 +108,7 @@ def _drawn_mask(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
     return np.asarray(is_live & (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows).all(axis=1))
 
 
-def _drawn_in_both(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
+def _rows_drawn_in_both(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
     """Return the mask of Gaussians that are drawn at the same position in two model runs."""
     a, b = first.gaussians, second.gaussians
     assert a is not None

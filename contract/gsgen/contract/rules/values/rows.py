@@ -25,7 +25,9 @@ _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
 
 
-def _not_finite(rows: Rows, row_mask: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
+def _nonfinite_violations(
+    rows: Rows, row_mask: Bool[np.ndarray, " n"], checked: int
+) -> Iterator[Violation]:
     """Yield a violation for each output with NaN or infinity in the rows that ``row_mask`` selects."""
     if not checked:
         return
@@ -70,7 +72,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
         Find the division, logarithm or norm that sees zero, and clamp before it; where float16
         overflows, scale the scene or emit float32. The row and the probe are given.
     """
-    yield from _not_finite(rows, rows.counted, rows.live_rows)
+    yield from _nonfinite_violations(rows, rows.counted, rows.live_rows)
 
 
 @rule("GV002", Severity.ERROR, needs=PACKED_ROWS)
@@ -83,7 +85,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     Hint:
         Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
     """
-    yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
+    yield from _nonfinite_violations(rows, ~rows.counted, len(rows) - rows.live_rows)
 
 
 @rule("GV003", Severity.ERROR, needs=ORDERED_ROWS)

@@ -40,9 +40,9 @@ def inspect(
     if emit_manifest:
         _emit_manifest(subject)
     elif as_json:
-        echo_json(_facts(subject))
+        echo_json(_model_facts(subject))
     else:
-        _show(subject)
+        _print_model(subject)
 
 
 def _schema(kind: str) -> dict[str, object]:
@@ -80,7 +80,7 @@ def _emit_manifest(subject: "InspectedModel") -> None:
             echo(f"  - {guess}", err=True)
 
 
-def _facts(subject: "InspectedModel") -> dict[str, Any]:
+def _model_facts(subject: "InspectedModel") -> dict[str, Any]:
     file, graph = subject.file, subject.graph
     text = file.manifest_text
     opsets = {entry.domain or "ai.onnx": entry.version for entry in file.proto.opset_import}
@@ -102,8 +102,8 @@ def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
     return {"name": name, "dtype": dtype, "shape": dims}
 
 
-def _show(subject: "InspectedModel") -> None:
-    facts, graph = _facts(subject), subject.graph
+def _print_model(subject: "InspectedModel") -> None:
+    facts, graph = _model_facts(subject), subject.graph
     opsets = ", ".join(f"{domain} {number}" for domain, number in facts["opsets"].items())
     echo(f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes")
     roles = {i.name: i.role for i in subject.manifest.inputs} if subject.manifest else {}

@@ -63,7 +63,7 @@ def repro(
     if as_json:
         echo_json(_document(model, reproduction, dump_file))
     else:
-        _show(model, reproduction)
+        _print_reproduction(model, reproduction)
         if dump_file:
             echo(f"  inputs and outputs: {dump_file}")
     raise typer.Exit(ExitCode.FAILURE if reproduction.findings else ExitCode.SUCCESS)
@@ -94,7 +94,7 @@ def _document(
     }
 
 
-def _show(model: Path, reproduction: "Reproduction") -> None:
+def _print_reproduction(model: Path, reproduction: "Reproduction") -> None:
     from gsgen.cli.output import show
     from gsgen.contract.reporters.text import Line, finding_lines
 

@@ -39,7 +39,7 @@ def rules(
     from gsgen.contract.reporters.rule_pages import index, page, to_dict
 
     registry = every_rule()
-    selected = _selected(registry, words) if words else list(registry.rules.values())
+    selected = _selected_rules(registry, words) if words else list(registry.rules.values())
     if pages is not None:
         for rule in registry.rules.values():
             write_text(
@@ -57,7 +57,7 @@ def rules(
         echo(headline, f"    {rule.statement}")
 
 
-def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
+def _selected_rules(registry: "Registry", words: list[str]) -> "list[Rule]":
     """Return the validation rules that match any of the search ``words``, in catalogue order."""
     selected_ids: set[str] = set()
     for word in words:

@@ -81,7 +81,7 @@ def bench_render(
     if as_json:
         echo_json(document)
     else:
-        _show(cost)
+        _print_frame_cost(cost)
 
 
 def _document(scenes: list[Path], cost: "FrameCost") -> dict[str, object]:
@@ -89,7 +89,7 @@ def _document(scenes: list[Path], cost: "FrameCost") -> dict[str, object]:
     return {"tools": tools, "scenes": [str(path) for path in scenes]} | asdict(cost)
 
 
-def _show(cost: "FrameCost") -> None:
+def _print_frame_cost(cost: "FrameCost") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

@@ -86,9 +86,9 @@ def edits_in_order(
     edits: list[Callable[[Splats], Splats]] = []
     for name in context.meta[OPTION_ORDER]:
         if name == "statistics":
-            edits.append(_observer(lambda splats: summaries.append(summarise(splats))))
+            edits.append(_observe_splats(lambda splats: summaries.append(summarise(splats))))
         elif name == "histograms":
-            edits.append(_observer(_histogram_writer(remaining_entries[name].pop(0))))
+            edits.append(_observe_splats(_histogram_writer(remaining_entries[name].pop(0))))
         elif name in EDIT_OPTIONS:
             text = remaining_entries[name].pop(0) if name in remaining_entries else ""
             try:
@@ -102,7 +102,7 @@ def edits_in_order(
     return edits
 
 
-def _observer(observe: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
+def _observe_splats(observe: Callable[[Splats], None]) -> Callable[[Splats], Splats]:
     def edit(splats: Splats) -> Splats:
         observe(splats)
         return splats

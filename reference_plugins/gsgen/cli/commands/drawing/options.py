@@ -314,13 +314,13 @@ def read_tracks(
     pose_fps: float | None = None
     for text in poses or ():
         name = named_file(text)[0]
-        source = _source_with(name, sources, f"--pose {text}")
+        source = _source_with_input(name, sources, f"--pose {text}")
         file_tracks, file_fps = pose_tracks(text, source)
         tracks, pose_fps = [*tracks, *file_tracks], pose_fps or file_fps
     for text in inputs or ():
         name, _, value = text.partition("=")
         if Path(value).suffix.lower() == SOUND_SUFFIX:
-            source = _source_with(name, sources, f"--input {text}")
+            source = _source_with_input(name, sources, f"--input {text}")
             spec = source.named(name)[0]
             rate = fps or pose_fps or frame_rate(sources)
             tracks.append(sound_track(Path(value), spec, source.shape(spec.name), rate))
@@ -329,7 +329,7 @@ def read_tracks(
     return tracks, pose_fps
 
 
-def _source_with(name: str, sources: "Sequence[Source]", where: str) -> "Source":
+def _source_with_input(name: str, sources: "Sequence[Source]", where: str) -> "Source":
     """Return the first of a scene's files and models that has an input of this name or role."""
     for source in sources:
         if source.named(name):

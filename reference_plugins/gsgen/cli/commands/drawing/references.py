@@ -108,7 +108,7 @@ def references(
             name: value for name, value in given_options.items() if value is not None
         }
         options["settings"] = settings
-        _print_source(_recorded(model, output, source, cameras, options), as_json=as_json)
+        _print_source(_recorded_size(model, output, source, cameras, options), as_json=as_json)
         return
     try:
         result = record_references(
@@ -131,7 +131,7 @@ def references(
     _print(result, as_json=as_json)
 
 
-def _recorded(
+def _recorded_size(
     model: Path, output: Path, folder: Path, cameras: Path, options: dict[str, Any]
 ) -> "SourcePictures":
     from gsgen.cli.progress import clear, progress

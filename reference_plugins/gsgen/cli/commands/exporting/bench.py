@@ -79,7 +79,7 @@ def bench(
     if as_json:
         echo_json(document)
     else:
-        _show(results)
+        _print_benchmark(results)
     failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
     failed = any(result.state in failure_states for result in results)
     raise typer.Exit(ExitCode.FAILURE if failed else ExitCode.SUCCESS)
@@ -139,7 +139,7 @@ def _document(results: "list[BenchmarkResult]") -> dict[str, object]:
     }
 
 
-def _show(results: "list[BenchmarkResult]") -> None:
+def _print_benchmark(results: "list[BenchmarkResult]") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

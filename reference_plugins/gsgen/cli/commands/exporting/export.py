@@ -55,11 +55,11 @@ class _TargetCommands(TyperGroup):
             wants_help = bool({"-h", "--help"} & set(args))
             return word, _command_for(word, wants_help=wants_help), args[1:]
         if word not in names and not word.startswith("-"):
-            raise _unknown(word, names, args)
+            raise _unknown_target_error(word, names, args)
         return super().resolve_command(ctx, args)
 
 
-def _unknown(word: str, plugins: list[str], typed_arguments: list[str]) -> UnknownName:
+def _unknown_target_error(word: str, plugins: list[str], typed_arguments: list[str]) -> UnknownName:
     from gsgen.formats.codecs import codec_of_suffix
 
     error = UnknownName.among("target", word, plugins, "TARGET")

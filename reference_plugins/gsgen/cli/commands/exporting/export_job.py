@@ -33,7 +33,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
     level_faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
-        result = _export(build, request)
+        result = _run_export_job(build, request)
     except level_faults as error:
         clear()
         outcome = ExportOutcome(
@@ -58,7 +58,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         _show(result)
 
 
-def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
+def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
     """Check the options, build the torch module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target

@@ -71,7 +71,7 @@ def serve(
             host=host,
             port=port,
             faults=faults,
-            log=_print_answer if verbose else _print_nothing,
+            log=_print_answer if verbose else _discard_line,
             cors=[
                 origin if origin == "*" else str(parse_origin(origin, "--cors"))
                 for origin in cors or ()
@@ -94,5 +94,5 @@ def _print_answer(line: str) -> None:
     echo(line, err=True)
 
 
-def _print_nothing(line: str) -> None:
+def _discard_line(line: str) -> None:
     del line

@@ -67,13 +67,13 @@ def source(name: str, *, wide_words: bool = False, **constants: int | float | bo
     """
     all_constants = _SHADER_CONSTANTS | constants
     lines = [_declaration(key, value) for key, value in all_constants.items()]
-    text = _include_source(name, {name}, wide_words=wide_words)
+    text = _shader_include_source(name, {name}, wide_words=wide_words)
     while (match := _SHADER_REPEAT_PATTERN.search(text)) is not None:
         text = text[: match.start()] + _expand_repeat(match, all_constants) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 
-def _include_source(name: str, included_names: set[str], *, wide_words: bool) -> str:
+def _shader_include_source(name: str, included_names: set[str], *, wide_words: bool) -> str:
     """Return the text of a shader with each included file inserted once."""
 
     def replacement(match: re.Match[str]) -> str:
@@ -81,7 +81,7 @@ def _include_source(name: str, included_names: set[str], *, wide_words: bool) ->
         if included_name in included_names:
             return ""
         included_names.add(included_name)
-        return _include_source(included_name, included_names, wide_words=wide_words)
+        return _shader_include_source(included_name, included_names, wide_words=wide_words)
 
     file = "wide_words" if wide_words and name == "words" else name
     return _INCLUDE_PATTERN.sub(replacement, _shader_files()[file])

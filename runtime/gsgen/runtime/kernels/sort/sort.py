@@ -93,7 +93,7 @@ class RadixSort:
 
     def first_digits(self, bits: int) -> FirstDigits:
         """Return what kernels need to count the first digits of the ``bits``-bit keys they write."""
-        return FirstDigits(1 << self._digit_width(bits), self._sort_config.block)
+        return FirstDigits(1 << self._radix_digit_width(bits), self._sort_config.block)
 
     def histograms(self, capacity: int, bits: int) -> tuple[Buffer, ...]:
         """Return new GPU buffers for the digit histograms of a radix sort.
@@ -106,7 +106,9 @@ class RadixSort:
             Of a staged sort two, which passes take by turns, the first pass the first; else one.
         """
         rows = 1 << (
-            self._digit_width(bits) if self._sort_config.is_staged else self._sort_config.digit_bits
+            self._radix_digit_width(bits)
+            if self._sort_config.is_staged
+            else self._sort_config.digit_bits
         )
         histogram_count = 1 if self._sort_config.is_staged else 1 + self._sort_config.threads
         size = 4 * histogram_count * rows * self.blocks(capacity)
@@ -117,7 +119,7 @@ class RadixSort:
         """Return the number of GPU workgroups that a radix sort of ``capacity`` keys takes."""
         return symbolic_max(-(-capacity // self._sort_config.block), 1)
 
-    def _digit_width(self, bits: int) -> int:
+    def _radix_digit_width(self, bits: int) -> int:
         """Return the number of bits that each pass but the last sorts by."""
         return -(-bits // -(-bits // self._sort_config.digit_bits))
 
@@ -150,7 +152,7 @@ class RadixSort:
             has_histogram: Whether the kernel that writes the keys has counted their first digits in the
                 first histogram, as ``first_digits.wgsl`` does; only for a staged sort.
         """
-        passes, width = -(-bits // self._sort_config.digit_bits), self._digit_width(bits)
+        passes, width = -(-bits // self._sort_config.digit_bits), self._radix_digit_width(bits)
         totals = []
         if self._sort_config.is_staged:
             totals.append(self._device.storage("digit totals", 4 << self._sort_config.digit_bits))

@@ -41,7 +41,7 @@ class BlendWsr:
         layers: int = 0,
         first_plane: int | None = None,
     ) -> None:
-        self._no_depths = device.storage("no layer depths", 16)
+        self._placeholder_depths = device.storage("no layer depths", 16)
         is_cooperative, constants = workgroup_shape(device, layers, panorama=panorama)
         self.kernel = Kernel(
             device,
@@ -70,6 +70,6 @@ class BlendWsr:
             depths: Buffer of the layers' depths, or of what slabs keep; None without both.
         """
         if depths is None:
-            depths = self._no_depths
+            depths = self._placeholder_depths
         bind_groups = (self.kernel.bind(*resources), self.kernel.bind(depths, group=1))
         return Step(self.kernel, bind_groups, (*tiles, 1))

@@ -50,7 +50,7 @@ class ListTiles:
             )
             for lists in (False, True)
         )
-        self._total_kernel, self._begin_kernel = (
+        self._tile_total_kernel, self._begin_kernel = (
             Kernel(
                 device, "list_ranges", entry, ("urwww",),
                 THREADS=THREADS_PER_WORKGROUP, RUNS=_INVOCATIONS, **constants,
@@ -75,7 +75,11 @@ class ListTiles:
         tile_groups = (-(-tiles // THREADS_PER_WORKGROUP), 1, 1)
         return (
             Step(self._tally_kernel, (self._tally_kernel.bind(*walk_buffers),), run_groups),
-            Step(self._total_kernel, (self._total_kernel.bind(*range_buffers),), tile_groups),
+            Step(
+                self._tile_total_kernel,
+                (self._tile_total_kernel.bind(*range_buffers),),
+                tile_groups,
+            ),
             Step(self._begin_kernel, (self._begin_kernel.bind(*range_buffers),), tile_groups),
             Step(self._list_kernel, (self._list_kernel.bind(*walk_buffers),), run_groups),
         )

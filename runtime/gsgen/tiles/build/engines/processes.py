@@ -45,7 +45,7 @@ class Processes(Engine):
         for process in list((getattr(pool, "_processes", None) or {}).values()):
             process.terminate()
 
-    def _open(self) -> ProcessPoolExecutor:
+    def _open_pool(self) -> ProcessPoolExecutor:
         if self._pool is None:
             context = get_context("spawn")  # forking would copy locks of our threads
             self._pool = ProcessPoolExecutor(self._workers, context, prepare_worker)
@@ -60,7 +60,7 @@ class Processes(Engine):
         running: dict[Future[_Result], int] = {}
         while pending or running:
             try:
-                pool = self._open()
+                pool = self._open_pool()
                 while pending and len(running) < _QUEUED_PER_WORKER * self._workers:
                     future: Future[_Result] = pool.submit(function, tasks[pending[-1]])
                     running[future] = pending.pop()

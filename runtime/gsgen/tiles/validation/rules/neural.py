@@ -32,10 +32,12 @@ def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
     tileset = inspected.tileset
     for tile in tileset.tiles() if tileset else ():
         if tile.neural is not None:
-            yield from _check(inspected, tile, tile.neural)
+            yield from _check_neural_tile(inspected, tile, tile.neural)
 
 
-def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Iterator[Violation]:
+def _check_neural_tile(
+    inspected: InspectedTileset, tile: Tile, neural: NeuralTile
+) -> Iterator[Violation]:
     location = f"tile {neural.location}"
     if not tile.contents:
         yield Violation.at(

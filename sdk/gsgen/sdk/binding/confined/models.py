@@ -67,14 +67,16 @@ class ConfinedModels:
         for path in map(Path, models):
             with suppress(ModelUnreadable):  # reported where the model is opened
                 files.append(open_model(path))
-        self._shared = _Child(files, limits, has_gpu=has_gpu) if files else None
+        self._shared_child = _Child(files, limits, has_gpu=has_gpu) if files else None
 
     def open(self, file: ModelFile, request: Message) -> "Channel":
         """Return a channel to a session that opens a model; :meth:`Channel.ask` for its facts."""
         needs_gpu = request["provider"] != "cpu"
         with self._lock:
-            if self._shared is not None and self._shared.may_open(file, needs_gpu=needs_gpu):
-                return self._shared.channel(file, request)
+            if self._shared_child is not None and self._shared_child.may_open(
+                file, needs_gpu=needs_gpu
+            ):
+                return self._shared_child.channel(file, request)
             child = _Child([file], self.limits, has_gpu=needs_gpu)
             self._children.append(child)
         return child.channel(file, request, is_last=True)
@@ -83,7 +85,7 @@ class ConfinedModels:
         """End all processes; a second call has no effect."""
         with self._lock:
             children, self._children = self._children, []
-            for child in (self._shared, *children):
+            for child in (self._shared_child, *children):
                 if child is not None:
                     child.end()
 
@@ -100,15 +102,15 @@ class _Child:
 
     def __init__(self, files: Iterable[ModelFile], limits: Limits, *, has_gpu: bool) -> None:
         self._files = list(files)
-        self._readable = {path for file in self._files for path in loaded_files(file)}
+        self._readable_files = {path for file in self._files for path in loaded_files(file)}
         self.limits = limits.for_model(sum(file.weight_bytes for file in self._files))
         self._has_gpu = has_gpu
-        self._cause: GsgenError | None = None  # why this process ended it
+        self._end_cause: GsgenError | None = None  # why this process ended it
         self._is_ready, self._session_count = False, 0
         self._channels: list[socket.socket] = []
-        self._lock, self._end_lock = threading.Lock(), threading.Lock()
+        self._lock, self._process_end_lock = threading.Lock(), threading.Lock()
         self._log, self._log_text = _log_file(), ""
-        self._control, child_end = socket.socketpair()
+        self._control_socket, child_end = socket.socketpair()
         with child_end:
             try:
                 self._process = subprocess.Popen(
@@ -124,19 +126,19 @@ class _Child:
                 message = f"no process can be started for the model: {error.strerror}"
                 raise HostProcessFailed(message) from error
         job = {
-            "readable": [str(path) for path in self._readable],
+            "readable": [str(path) for path in self._readable_files],
             "memory": self.limits.memory,
             "seconds": self.limits.seconds,
             "has_gpu": has_gpu,
             "host_limit": inherited_memory_limit(),
         }
-        send(self._control, job)
+        send(self._control_socket, job)
 
     def may_open(self, file: ModelFile, *, needs_gpu: bool) -> bool:
         """Return whether the process may read a model's files, and still runs."""
         is_allowed = self._has_gpu or not needs_gpu
         is_running = self._process.poll() is None
-        return is_running and is_allowed and self._readable.issuperset(loaded_files(file))
+        return is_running and is_allowed and self._readable_files.issuperset(loaded_files(file))
 
     def channel(self, file: ModelFile, request: Message, *, is_last: bool = False) -> "Channel":
         """Begin to open a model; ``is_last`` ends the process with this session."""
@@ -144,12 +146,12 @@ class _Child:
         parent_end, child_end = socket.socketpair()
         with child_end:
             with self._lock:
-                self._await_start()
+                self._await_process_start()
                 self._session_count += 1
                 self._channels.append(parent_end)
                 message = request | {"session": self._session_count, "path": str(file.path)}
                 try:
-                    send(self._control, message, [child_end.fileno(), memory_file])
+                    send(self._control_socket, message, [child_end.fileno(), memory_file])
                 except OSError as error:
                     raise self.death(str(file.path)) from error
             shared = SharedMemory(memory_file)
@@ -162,13 +164,13 @@ class _Child:
             is_last=is_last,
         )
 
-    def _await_start(self) -> None:
+    def _await_process_start(self) -> None:
         """Wait until the process has imported what it needs."""
         if self._is_ready:
             return
-        self._control.settimeout(_START_SECONDS)
+        self._control_socket.settimeout(_START_SECONDS)
         try:
-            message, _ = receive(self._control)
+            message, _ = receive(self._control_socket)
         except TimeoutError:
             self.end(HostProcessFailed(f"no process for models starts within {_START_SECONDS:g} s"))
             message = None
@@ -176,25 +178,25 @@ class _Child:
             message = None
         if message is None or "ready" not in message:
             raise self.death("")
-        self._control.settimeout(_STOP_SECONDS)
+        self._control_socket.settimeout(_STOP_SECONDS)
         self._is_ready = True
 
     def stop_frame(self, session: int, frame: int) -> None:
         """Cancel the run of a frame of a session."""
         with self._lock, suppress(OSError):
-            send(self._control, {"stop": session, "frame": frame})
+            send(self._control_socket, {"stop": session, "frame": frame})
 
     def end(self, cause: GsgenError | None = None) -> None:
         """Kill the process, and record why; nothing happens if it has ended."""
-        with self._end_lock:
+        with self._process_end_lock:
             if self._process.poll() is None:
-                self._cause = self._cause or cause
+                self._end_cause = self._end_cause or cause
                 self._process.kill()
             self._process.wait()
             if not self._log.closed:
                 self._log.seek(0)
                 self._log_text = self._log.read(_LOG_BYTES).decode(errors="replace")
-                for file in (self._log, self._control, *self._channels):
+                for file in (self._log, self._control_socket, *self._channels):
                     file.close()
 
     def death(self, where: str) -> GsgenError:
@@ -202,8 +204,8 @@ class _Child:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_STOP_SECONDS)
         self.end(RunFailed("the process that runs the model closed its channel", where=where))
-        if self._cause is not None:
-            return self._cause
+        if self._end_cause is not None:
+            return self._end_cause
         status, log = self._process.returncode, self._log_text
         if not self._is_ready:
             lines = log.strip().splitlines()[-1:] or [f"exit status {status}"]
@@ -243,7 +245,7 @@ class Channel:
     ) -> None:
         self.shared = shared
         self._child, self._socket, self._number = child, socket, number
-        self._where, self._is_last = where, is_last
+        self._session_location, self._is_last_session = where, is_last
         self._frame, self._is_pending = 0, False
 
     def ask(self, message: Message | None, action: str) -> Message:
@@ -266,14 +268,16 @@ class Channel:
             reply, _ = receive(self._socket)
         except TimeoutError:
             limit = f"{self._child.limits.seconds:g} s, the time limit (--timeout)"
-            self._child.end(RunFailed(f"{action} takes more than {limit}", where=self._where))
+            self._child.end(
+                RunFailed(f"{action} takes more than {limit}", where=self._session_location)
+            )
             reply = None
         except OSError:
             reply = None
         finally:
             self._is_pending = False
         if reply is None:
-            raise self._child.death(self._where)
+            raise self._child.death(self._session_location)
         if "error" in reply:
             raise error_of(reply)
         return reply
@@ -293,10 +297,10 @@ class Channel:
 
     def _kill_pending(self, frame: int) -> None:
         if self._is_pending and self._frame == frame:
-            self._child.end(RunFailed("the run was stopped", where=self._where))
+            self._child.end(RunFailed("the run was stopped", where=self._session_location))
 
     def close(self) -> None:
         """End the session."""
         self._socket.close()
-        if self._is_last:
+        if self._is_last_session:
             self._child.end()

@@ -70,11 +70,11 @@ class _Session:
             while message is not None:
                 try:
                     if session is None:
-                        session = self._open()
+                        session = self._open_session()
                         self._device_lock = lock_of(session.choice)
                         reply = self._describe(session)
                     else:
-                        reply = self._answer(session, message)
+                        reply = self._reply_to_message(session, message)
                 except Exception as error:
                     reply = message_of(self._error(error))
                 send(self._channel, reply)
@@ -88,9 +88,9 @@ class _Session:
             if number == self._frame:
                 self._stop.now()
 
-    def _open(self) -> WarmSession:
+    def _open_session(self) -> WarmSession:
         request = self._request
-        self._shared = SharedMemory(self._memory_file)
+        self._shared_memory = SharedMemory(self._memory_file)
         manifest = None if request["manifest"] is None else loads(request["manifest"])
         limit_processor_time(self._job["seconds"])
         return open_warm(
@@ -100,7 +100,7 @@ class _Session:
             sizes=request["sizes"],
             threads=request["threads"],
             stop=self._stop,
-            host_memory=self._shared,
+            host_memory=self._shared_memory,
             before=self._limit_memory,
         )
 
@@ -111,7 +111,7 @@ class _Session:
 
     def _describe(self, session: WarmSession) -> Message:
         places = {
-            kind: {name: self._place(buffer) for name, buffer in buffers.items()}
+            kind: {name: self._place_array(buffer) for name, buffer in buffers.items()}
             for kind, buffers in (
                 ("inputs", session.bound.inputs),
                 ("outputs", session.bound.outputs),
@@ -126,11 +126,11 @@ class _Session:
             "nodes": [[node.provider, node.operator, node.name] for node in session.nodes],
         }
 
-    def _place(self, buffer: Any) -> list[Any]:
-        place: SharedArraySlot = self._shared.place_of(buffer.host)
+    def _place_array(self, buffer: Any) -> list[Any]:
+        place: SharedArraySlot = self._shared_memory.place_of(buffer.host)
         return [place.offset, list(place.shape), place.dtype.name]
 
-    def _answer(self, session: WarmSession, message: Message) -> Message:
+    def _reply_to_message(self, session: WarmSession, message: Message) -> Message:
         if "read" in message:
             with self._device_lock:
                 session.bound.read(message["read"])

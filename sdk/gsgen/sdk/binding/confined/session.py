@@ -88,8 +88,8 @@ class ConfinedSession:
         self.reason, self.device = str(facts["reason"]), str(facts["device"])
         self.captured, self.cause = bool(facts["captured"]), str(facts["cause"])
         self.nodes = tuple(Node(*map(str, node)) for node in facts["nodes"])
-        self._changed: set[str] = set()
-        self._is_read: set[str] = set()
+        self._changed_inputs: set[str] = set()
+        self._read_outputs: set[str] = set()
 
     def _buffers(self, places: Mapping[str, Any]) -> dict[str, Buffer]:
         return {
@@ -104,20 +104,20 @@ class ConfinedSession:
     def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
         """Copy tensors into the session's inputs; return the names of changed model inputs."""
         changed = [name for name, array in tensors.items() if self._inputs[name].write(array)]
-        self._changed.update(changed)
+        self._changed_inputs.update(changed)
         return frozenset(changed)
 
     def run(self) -> None:
         """Compute a frame."""
-        self._is_read.clear()
-        self._channel.run(self._changed)
-        self._changed.clear()
+        self._read_outputs.clear()
+        self._channel.run(self._changed_inputs)
+        self._changed_inputs.clear()
 
     def read(self, name: str) -> np.ndarray:
         """Return a model output as a read-only array, copied from the device once per frame."""
-        if self.provider != "cpu" and name not in self._is_read:
+        if self.provider != "cpu" and name not in self._read_outputs:
             self._channel.ask({"read": name}, "an output")
-            self._is_read.add(name)
+            self._read_outputs.add(name)
         return self.outputs[name].read()
 
     def copies(self) -> dict[str, np.ndarray]:

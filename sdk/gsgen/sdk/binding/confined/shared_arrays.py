@@ -67,7 +67,7 @@ class SharedMemory(HostMemory):
         finally:
             os.close(file)
         self._bytes = np.frombuffer(self._map, np.uint8)
-        self._end = 0
+        self._end_offset = 0
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> np.ndarray:
         """Return a new array of zeros in the shared memory.
@@ -76,21 +76,19 @@ class SharedMemory(HostMemory):
             RunFailed: The shared memory has no room for it.
         """
         size = math.prod(shape) * dtype.itemsize
-        place = SharedArraySlot(self._end, shape, dtype)
-        if not 0 <= size <= self._size - self._end:
-            limit = (
-                f"the {(self._size - self._end) >> 20:,} MiB left of the memory limit (--memory)"
-            )
+        place = SharedArraySlot(self._end_offset, shape, dtype)
+        if not 0 <= size <= self._size - self._end_offset:
+            limit = f"the {(self._size - self._end_offset) >> 20:,} MiB left of the memory limit (--memory)"
             taken = f"a tensor of shape {list(shape)} takes {size / 1e9:.1f} GB"
             raise RunFailed(f"{taken}, more than {limit}")
-        self._end += -(-size // _ALIGNMENT) * _ALIGNMENT
+        self._end_offset += -(-size // _ALIGNMENT) * _ALIGNMENT
         result = self.array_at(place)
         result[...] = np.zeros((), dtype)
         return result
 
     def clear(self) -> None:
         """Give the places of all arrays to the next ones."""
-        self._end = 0
+        self._end_offset = 0
 
     def place_of(self, array: np.ndarray) -> SharedArraySlot:
         """Return where an array of :meth:`array` lies."""

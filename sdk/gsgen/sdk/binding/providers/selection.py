@@ -104,7 +104,7 @@ def choose_provider(name: str = "auto") -> ProviderChoice:
         ProviderUnavailable: The provider is not installed, or no device is available for it.
     """
     if name == "auto":
-        return _automatic()
+        return _choose_automatically()
     if name not in PROVIDERS:
         raise UnknownName.among("provider", name, ["auto", *PROVIDERS])
     provider: Provider = next(known for known in PROVIDERS if known == name)
@@ -116,7 +116,7 @@ def choose_provider(name: str = "auto") -> ProviderChoice:
     return ProviderChoice(provider, "requested", adapter, is_requested=True)
 
 
-def _automatic() -> ProviderChoice:
+def _choose_automatically() -> ProviderChoice:
     if _has_cuda():
         return ProviderChoice("cuda", "the installed ONNX Runtime has CUDA")
     if find_spec(PACKAGE) is None:

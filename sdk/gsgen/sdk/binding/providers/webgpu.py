@@ -19,7 +19,7 @@ _SOFTWARE_VARIABLE = "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER"
 # ends in ".virtual" aborts it at once.
 _REGISTRATION_NAME = "gsgen.webgpu"
 _registration_lock = threading.Lock()
-_registered = False
+_is_plugin_registered = False
 
 
 class AdapterMissing(Exception):
@@ -78,11 +78,11 @@ def find_adapter() -> Adapter:
 
 
 def _register(library: str) -> None:
-    global _registered
+    global _is_plugin_registered
     import onnxruntime
 
     with _registration_lock:
-        if not _registered:
+        if not _is_plugin_registered:
             os.environ.setdefault(_SOFTWARE_VARIABLE, "1")
             onnxruntime.register_execution_provider_library(_REGISTRATION_NAME, library)
-            _registered = True
+            _is_plugin_registered = True

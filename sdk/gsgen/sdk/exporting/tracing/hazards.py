@@ -134,12 +134,12 @@ class HazardWatch(TorchFunctionMode):
         }
         self._modules = {id(part) for part in module.modules()}  # not those that forward makes
         self._undo_steps: list[Callable[[], None]] = []
-        self._saved_keys: set[tuple[int, str]] = set()
+        self._saved_attribute_keys: set[tuple[int, str]] = set()
         for tensor in inputs:
             setattr(tensor, _INPUT_MARK, True)
 
     def __enter__(self) -> Self:
-        self._plain_setattr: Any = nn.Module.__setattr__
+        self._original_module_setattr: Any = nn.Module.__setattr__
         setattr(nn.Module, "__setattr__", self._setattr())  # noqa: B010
         super().__enter__()  # type: ignore[no-untyped-call]
         return self
@@ -151,7 +151,7 @@ class HazardWatch(TorchFunctionMode):
         trace: TracebackType | None,
     ) -> None:
         super().__exit__(kind, error, trace)  # type: ignore[no-untyped-call]
-        setattr(nn.Module, "__setattr__", self._plain_setattr)  # noqa: B010
+        setattr(nn.Module, "__setattr__", self._original_module_setattr)  # noqa: B010
 
     @property
     def changes_module(self) -> bool:
@@ -181,7 +181,7 @@ class HazardWatch(TorchFunctionMode):
     def _inspect_call(self, func: Any, name: str, args: Any, *, depends_on_input: bool) -> None:
         if name in _RANDOM_FUNCTIONS:
             self._record_hazard("random")
-        if self._is_in_place(name) and args and id(args[0]) in self._module_tensors:
+        if self._is_in_place_operator(name) and args and id(args[0]) in self._module_tensors:
             self._record_hazard("state")
             self._save_tensor(args[0])
         if not depends_on_input:
@@ -194,7 +194,7 @@ class HazardWatch(TorchFunctionMode):
             self._record_hazard("shape")
 
     @staticmethod
-    def _is_in_place(name: str) -> bool:
+    def _is_in_place_operator(name: str) -> bool:
         ends_in_underscore = name.endswith("_") and not name.endswith("__")
         is_operator = name.startswith("__i") and name not in ("__index__", "__int__", "__invert__")
         return ends_in_underscore or is_operator or name == "__setitem__"
@@ -208,21 +208,21 @@ class HazardWatch(TorchFunctionMode):
             self.hazards.append(Hazard(kind, f"{prefix}{line}"))
 
     def _save_tensor(self, tensor: Tensor) -> None:
-        if (id(tensor), "") not in self._saved_keys:
-            self._saved_keys.add((id(tensor), ""))
+        if (id(tensor), "") not in self._saved_attribute_keys:
+            self._saved_attribute_keys.add((id(tensor), ""))
             old_value = tensor.detach().clone()
             self._undo_steps.append(lambda: _restore_tensor(tensor, old_value))
 
     def _setattr(self) -> Callable[[nn.Module, str, Any], None]:
-        original_setattr: Callable[[nn.Module, str, Any], None] = self._plain_setattr
+        original_setattr: Callable[[nn.Module, str, Any], None] = self._original_module_setattr
 
         def record_and_set(module: nn.Module, name: str, value: Any) -> None:
             if id(module) not in self._modules:
                 original_setattr(module, name, value)
                 return
             self._record_hazard("state", f"{type(module).__name__}.{name}, ")
-            if (id(module), name) not in self._saved_keys:
-                self._saved_keys.add((id(module), name))
+            if (id(module), name) not in self._saved_attribute_keys:
+                self._saved_attribute_keys.add((id(module), name))
                 is_known = name in module.__dict__
                 old_value = module.__dict__.get(name)
                 if name in module._buffers:

@@ -121,27 +121,31 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
         super().__init__()  # type: ignore[no-untyped-call]
         self.computed = 0
         self.written: set[int] = set()
-        self._known_written = written
+        self._known_written_tensors = written
         # The storage's address → a tensor of it, which keeps the address from being used again.
-        self._reached: dict[int, Tensor] = {}
-        self._maker: dict[int, tuple[int, Tensor]] = {}  # the operation that made a storage
-        self._plain: dict[int, tuple[Tensor, Tensor]] = {}
+        self._reached_tensors: dict[int, Tensor] = {}
+        self._maker_by_storage: dict[
+            int, tuple[int, Tensor]
+        ] = {}  # the operation that made a storage
+        self._plain_tensors: dict[int, tuple[Tensor, Tensor]] = {}
         self._count = 0
         for tensor in inputs:
-            self._reached[_storage(tensor)] = tensor
+            self._reached_tensors[_storage(tensor)] = tensor
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Run an operation: at once if no input reaches it, else as a part of the trace."""
         self._count += 1
-        args, kwargs = tree_map_only(nn.Parameter, self._without_gradient, (args, kwargs or {}))
+        args, kwargs = tree_map_only(
+            nn.Parameter, self._tensor_without_gradient, (args, kwargs or {})
+        )
         tensors = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
-        is_reached = any(_storage(tensor) in self._reached for tensor in tensors)
-        if not is_reached and self._count not in self._known_written:
+        is_reached = any(_storage(tensor) in self._reached_tensors for tensor in tensors)
+        if not is_reached and self._count not in self._known_written_tensors:
             self.computed += 1
             with disable_proxy_modes_tracing():
                 result = func(*args, **kwargs)
             for tensor in _tensors(result):
-                self._maker.setdefault(_storage(tensor), (self._count, tensor))
+                self._maker_by_storage.setdefault(_storage(tensor), (self._count, tensor))
             return result
         args = self._with_indices(func, args)
         if is_reached and _is_masked_write(func, args):
@@ -150,11 +154,11 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
             if is_reached:
                 _refuse_values(func, args)
             result = func(*_with_float_bounds(func, args), **kwargs)
-        for tensor in (*_tensors(result), *_changed(func, args, kwargs)):
+        for tensor in (*_tensors(result), *_changed_tensors(func, args, kwargs)):
             key = _storage(tensor)
-            if key in self._maker and key not in self._reached:
-                self.written.add(self._maker[key][0])
-            self._reached[key] = tensor
+            if key in self._maker_by_storage and key not in self._reached_tensors:
+                self.written.add(self._maker_by_storage[key][0])
+            self._reached_tensors[key] = tensor
         return result
 
     def _with_indices(self, func: Any, args: Any) -> Any:
@@ -163,19 +167,19 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
             return args
         indices: list[Tensor | None] = []
         for index in args[1]:
-            if _is_mask(index) and _storage(index) not in self._reached:
+            if _is_mask(index) and _storage(index) not in self._reached_tensors:
                 with disable_proxy_modes_tracing():
                     indices.extend(torch.nonzero(index, as_tuple=True))
             else:
                 indices.append(index)
         return (args[0], indices, *args[2:])
 
-    def _without_gradient(self, parameter: Tensor) -> Tensor:
+    def _tensor_without_gradient(self, parameter: Tensor) -> Tensor:
         """Return a parameter's tensor, the same one each time: ``make_fx`` follows parameters."""
-        if id(parameter) not in self._plain:
+        if id(parameter) not in self._plain_tensors:
             with disable_proxy_modes_tracing():
-                self._plain[id(parameter)] = parameter, parameter.detach()
-        return self._plain[id(parameter)][1]
+                self._plain_tensors[id(parameter)] = parameter, parameter.detach()
+        return self._plain_tensors[id(parameter)][1]
 
 
 def _refuse_values(func: Any, args: Any) -> None:
@@ -215,7 +219,7 @@ def _with_float_bounds(func: Any, args: Any) -> Any:
     return (args[0], *(bound if bound is None else float(bound) for bound in args[1:3]))
 
 
-def _changed(func: Any, args: Any, kwargs: Any) -> Iterator[Tensor]:
+def _changed_tensors(func: Any, args: Any, kwargs: Any) -> Iterator[Tensor]:
     """Yield the arguments that an operation writes."""
     for number, argument in enumerate(func._schema.arguments):
         if argument.alias_info is not None and argument.alias_info.is_write:

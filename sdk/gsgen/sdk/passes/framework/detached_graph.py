@@ -19,7 +19,7 @@ class DetachedGraph:
 
     def __init__(self, stem: str) -> None:
         self.anchor: ir.Node | None = None
-        self._stem = stem
+        self._name_stem = stem
         self._nodes: list[tuple[ir.Node | None, ir.Node]] = []
         self._weights: list[ir.Value] = []
 
@@ -33,7 +33,7 @@ class DetachedGraph:
     ) -> ir.Value:
         """Create a standard ONNX node with one output outside of a graph; return the output."""
         known = next((v.dtype for v in inputs if v is not None and v.dtype is not None), None)
-        name = f"{self._stem}_{len(self._nodes)}_{kind}"
+        name = f"{self._name_stem}_{len(self._nodes)}_{kind}"
         node = new_node(
             kind, inputs, name, dtype=known if dtype is None else dtype, shape=shape, **attributes
         )
@@ -42,7 +42,7 @@ class DetachedGraph:
 
     def like(self, node: ir.Node, inputs: Sequence[ir.Value | None]) -> list[ir.Value]:
         """Create a copy of a node with other inputs, outside of the graph."""
-        name = f"{self._stem}_{len(self._nodes)}_{node.op_type}"
+        name = f"{self._name_stem}_{len(self._nodes)}_{node.op_type}"
         copy = ir.Node(
             node.domain,
             node.op_type,
@@ -61,7 +61,7 @@ class DetachedGraph:
         values = np.asarray(array, dtype)
         tensor = ir.tensor(values)
         value = ir.Value(
-            name=f"{self._stem}_weight_{len(self._weights)}",
+            name=f"{self._name_stem}_weight_{len(self._weights)}",
             const_value=tensor,
             type=ir.TensorType(tensor.dtype),
             shape=ir.Shape(values.shape),
@@ -75,7 +75,7 @@ class DetachedGraph:
             array = value.const_value
             assert array is not None
             if value.uses():
-                initializer = weight(graph, value.name or self._stem, array.numpy())
+                initializer = weight(graph, value.name or self._name_stem, array.numpy())
                 ir.convenience.replace_all_uses_with(value, initializer)
         for anchor, node in self._nodes:
             if anchor is None:

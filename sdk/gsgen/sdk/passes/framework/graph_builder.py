@@ -106,7 +106,7 @@ class InsertionPoint:
         graph = node.graph
         assert isinstance(graph, ir.Graph)
         self.node, self.graph = node, graph
-        self._stem = node.name or node.outputs[0].name or node.op_type
+        self._name_stem = node.name or node.outputs[0].name or node.op_type
         self._count = 0
 
     def op(
@@ -165,7 +165,7 @@ class InsertionPoint:
 
     def _next_name(self, kind: str) -> str:
         self._count += 1
-        return f"{self._stem}_{self._count}_{kind}"
+        return f"{self._name_stem}_{self._count}_{kind}"
 
     def _insert(self, node: ir.Node) -> None:
         self.graph.insert_before(self.node, node)

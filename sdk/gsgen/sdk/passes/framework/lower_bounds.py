@@ -57,7 +57,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
 
     if is_op(node, *_BOUND_KEEPING_OPERATORS):
         return input_bound(0)
-    if is_op(node, *_NOT_NEGATIVE) or _squares(node):
+    if is_op(node, *_NOT_NEGATIVE) or _is_square_node(node):
         return 0.0
     if is_op(node, "Relu"):
         return max(0.0, input_bound(0))
@@ -82,7 +82,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
     return -math.inf
 
 
-def _squares(node: ir.Node) -> bool:
+def _is_square_node(node: ir.Node) -> bool:
     """Return whether a node computes squares: x · x, or x to an even power."""
     if is_op(node, "Mul"):
         return node.inputs[0] is node.inputs[1]

@@ -161,7 +161,7 @@ def _concat(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return np.concatenate(parts, axis=node.attributes["axis"].as_int())
 
 
-def _where(_: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_where(_: ir.Node, inputs: Arrays) -> np.ndarray:
     condition, if_true, if_false = inputs
     assert condition is not None
     assert if_true is not None
@@ -169,7 +169,7 @@ def _where(_: ir.Node, inputs: Arrays) -> np.ndarray:
     return np.asarray(np.where(condition, if_true, if_false))
 
 
-def _expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
     array, shape = _first_input(inputs), required(inputs[1])
     whole = np.broadcast_shapes(array.shape, tuple(int(size) for size in shape))
     return np.broadcast_to(array, whole)
@@ -188,13 +188,13 @@ def _constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 def _range(_: ir.Node, inputs: Arrays) -> np.ndarray:
     start, limit, step = (array.reshape(()) for array in inputs if array is not None)
-    if start.dtype.kind == "f" and not _is_whole(start, limit, step):
+    if start.dtype.kind == "f" and not _are_whole_numbers(start, limit, step):
         raise ValueError  # the rounding of start + i · step is not specified
     count = max(0, int(np.ceil((float(limit) - float(start)) / float(step))))
     return (start + np.arange(count) * step).astype(start.dtype)
 
 
-def _is_whole(*numbers: np.ndarray) -> bool:
+def _are_whole_numbers(*numbers: np.ndarray) -> bool:
     return all(float(number).is_integer() and abs(number) < 1 << 24 for number in numbers)
 
 
@@ -204,7 +204,7 @@ _ANY_DTYPE: dict[str, Evaluator] = {
     "Concat": _concat,
     "ConstantOfShape": _constant_of_shape,
     "Equal": _binary(np.equal),
-    "Expand": _expand,
+    "Expand": _evaluate_expand,
     "Gather": _gather,
     "Greater": _binary(np.greater),
     "GreaterOrEqual": _binary(np.greater_equal),
@@ -217,7 +217,7 @@ _ANY_DTYPE: dict[str, Evaluator] = {
     "Squeeze": _squeeze,
     "Transpose": _transpose,
     "Unsqueeze": _unsqueeze,
-    "Where": _where,
+    "Where": _evaluate_where,
 }
 _INTEGERS_ONLY: dict[str, Evaluator] = {
     "Abs": _unary(np.abs), "Add": _binary(np.add), "And": _binary(np.logical_and),

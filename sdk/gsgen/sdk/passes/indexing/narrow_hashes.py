@@ -59,7 +59,9 @@ class NarrowHashes(TableRewrite, SkippableRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Replace nodes that compute an XOR modulo a power of two by int32 arithmetic."""
         spans: dict[str, Interval] | None = None
-        remainders = [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]
+        remainders = [
+            n for n in every_node(model) if _modulus_bits(n) and _has_xor_ancestor(n.inputs[0])
+        ]
         for node in reversed(remainders):  # the last of two needs the fewest bits
             if not (node.outputs[0].uses() or node.outputs[0].is_graph_output()):
                 continue
@@ -102,14 +104,14 @@ def _keeps_low_bits(node: ir.Node, bits: int) -> bool:
     return number % (1 << bits) == 0
 
 
-def _has_xor(value: ir.Value | None) -> bool:
+def _has_xor_ancestor(value: ir.Value | None) -> bool:
     """Return whether a value derives from an XOR through Adds, Casts, Reshapes and the like."""
     node = None if value is None else value.producer()
     if node is not None and _keeps_low_bits(node, 1):
-        return _has_xor(node.inputs[0])
+        return _has_xor_ancestor(node.inputs[0])
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVE_OPERATORS):
         return False
-    return is_op(node, "BitwiseXor") or any(_has_xor(entry) for entry in node.inputs)
+    return is_op(node, "BitwiseXor") or any(_has_xor_ancestor(entry) for entry in node.inputs)
 
 
 class _RemainderMatch:
@@ -117,15 +119,15 @@ class _RemainderMatch:
 
     def __init__(self, write: InsertionPoint, bits: int, spans: dict[str, Interval]) -> None:
         self.write, self.bits, self.spans = write, bits, spans
-        self._remainders: dict[int, ir.Value] = {}
+        self._remainder_by_value: dict[int, ir.Value] = {}
 
     def remainder_of(self, value: ir.Value) -> ir.Value:
         """Return a graph value modulo 2ᵏ; nodes for the same value are created only once."""
-        if id(value) not in self._remainders:
-            self._remainders[id(value)] = self._computed_digits(value)
-        return self._remainders[id(value)]
+        if id(value) not in self._remainder_by_value:
+            self._remainder_by_value[id(value)] = self._computed_hash_digits(value)
+        return self._remainder_by_value[id(value)]
 
-    def _computed_digits(self, value: ir.Value) -> ir.Value:
+    def _computed_hash_digits(self, value: ir.Value) -> ir.Value:
         known = constant_of(value)
         if known is not None:
             return self._constant(np.mod(known, 1 << self.bits))
@@ -144,7 +146,7 @@ class _RemainderMatch:
         span = self.spans.get(value.name or "")
         if not fits_int32(span):
             raise _UnprovableRange(f"values of tensor {value.name} may leave the range of int32")
-        return self._reduced(self._cast(value), *required(span))
+        return self._reduce_to_range(self._cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
         """Return a sum, a difference or a product modulo 2ᵏ, computed by ONNX nodes."""
@@ -152,7 +154,7 @@ class _RemainderMatch:
         a, b = (required(entry) for entry in node.inputs)
         if is_op(node, "Add", "Sub"):
             low, high = (0, 2 * size) if is_op(node, "Add") else (-size, size)
-            return self._reduced(
+            return self._reduce_to_range(
                 self.write.op(node.op_type, self.remainder_of(a), self.remainder_of(b)), low, high
             )
         if constant_of(a) is not None:
@@ -174,9 +176,9 @@ class _RemainderMatch:
                 f"the product of {a.name} and a hash factor (modulo {size}) may leave the range of int32"
             )
         product = self.write.op("Mul", self._cast(a), self._constant(factor))
-        return self._reduced(product, -most, most)
+        return self._reduce_to_range(product, -most, most)
 
-    def _reduced(self, value: ir.Value, low: float, high: float) -> ir.Value:
+    def _reduce_to_range(self, value: ir.Value, low: float, high: float) -> ir.Value:
         """Return the remainder by 2ᵏ of an int32 value that lies between given limits."""
         size = 1 << self.bits
         if low >= 0 and high < size:

@@ -151,7 +151,7 @@ class _Sampler:
         coordinate = self._pixel_coordinate(op("Add", column, unit), size)
         last = self.number(size - 1)
         if self.border:
-            coordinate = self._clamp(coordinate, last)
+            coordinate = self._clamp_index(coordinate, last)
         low = op("Floor", coordinate)
         high = op("Add", low, unit)
         pairs = []
@@ -160,7 +160,7 @@ class _Sampler:
             (high, op("Sub", coordinate, low)),
         ):
             masked_weight = weight if self.border else self._mask_outside(index, weight, last)
-            pixel = op("Cast", self._clamp(index, last), dtype=_INT32, to=_INT32.value)
+            pixel = op("Cast", self._clamp_index(index, last), dtype=_INT32, to=_INT32.value)
             pairs.append((pixel, masked_weight))
         return pairs
 
@@ -171,7 +171,7 @@ class _Sampler:
         scaled = op("Sub", op("Mul", shifted_coordinate, self.number(size)), self.number(1))
         return op("Div", scaled, half)
 
-    def _clamp(self, value: ir.Value, last: ir.Value) -> ir.Value:
+    def _clamp_index(self, value: ir.Value, last: ir.Value) -> ir.Value:
         """Clamp pixel coordinates to the pixels of an axis; NaN becomes 0."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)

@@ -42,8 +42,10 @@ class SelectExtremes(SubstituteNodes):
         write, first = InsertionPoint(node), required(node.inputs[0])
         if is_op(node, "Clip"):  # Case 3
             low, high = (*node.inputs[1:], None)[:2]
-            result = first if low is None else _replace_beyond(write, "Less", first, low)
-            result = result if high is None else _replace_beyond(write, "Greater", result, high)
+            result = first if low is None else _replace_beyond_bound(write, "Less", first, low)
+            result = (
+                result if high is None else _replace_beyond_bound(write, "Greater", result, high)
+            )
         else:
             result = first
             for argument in node.inputs[1:]:
@@ -64,14 +66,16 @@ def _elementwise_extreme(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Va
             number = write.constant(np.asarray(bound).reshape(()), "bound")
             return write.op("Clip", x, *((number,) if kind == "Max" else (None, number)))
     # Case 2: compare and select
-    extreme_value = _replace_beyond(write, "Less" if kind == "Max" else "Greater", a, b)
+    extreme_value = _replace_beyond_bound(write, "Less" if kind == "Max" else "Greater", a, b)
     if not (b.dtype is not None and b.dtype.is_floating_point()) or _is_finite(b):
         return extreme_value
     is_not_nan = write.op("Equal", b, b, dtype=ir.DataType.BOOL)
     return write.op("Where", is_not_nan, extreme_value, b, dtype=b.dtype)
 
 
-def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
+def _replace_beyond_bound(
+    write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value
+) -> ir.Value:
     """Clamp a graph value at a bound, by replacing the elements beyond the bound."""
     is_beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
     return write.op("Where", is_beyond, bound, x, dtype=x.dtype)

@@ -76,7 +76,7 @@ class UnrollControlFlow(SkippableRewrite):
 UnrollPlan = str | Callable[[], None]
 
 
-def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
+def _unroll_if(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that inserts the taken branch of an If node, or why that is impossible."""
     known = _known_array(node.inputs[0])
     if known is None:
@@ -116,7 +116,7 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
             state = results[:carried_count]
             for results_list, value in zip(lists, results[carried_count:], strict=True):
                 results_list.append(value)
-        before.replace(*state, *(_stack(before, results_list, 0) for results_list in lists))
+        before.replace(*state, *(_stack_values(before, results_list, 0) for results_list in lists))
 
     return write
 
@@ -200,7 +200,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
             for results_list, value in zip(lists, results[carried_count:], strict=True):
                 results_list.append(value)
         joined_values = [
-            _stack(before, results_list[::-1] if is_backward else results_list, axis)
+            _stack_values(before, results_list[::-1] if is_backward else results_list, axis)
             for results_list, axis, is_backward in zip(
                 lists, out_axes, prepended_flags, strict=True
             )
@@ -228,7 +228,7 @@ def _require_value(value: ir.Value | None) -> ir.Value:
 
 
 _UNROLLERS: dict[str, Callable[[ir.Node, UnrollControlFlow], UnrollPlan]] = {
-    "If": _write_if,
+    "If": _unroll_if,
     "Loop": _write_loop,
     "Scan": _write_scan,
 }
@@ -242,9 +242,9 @@ class _BodyCopier:
         self.stem = before.node.name or before.node.outputs[0].name or before.node.op_type
         self.turn = 0
         for value in list(body.initializers.values()):
-            self._lift_to_outer(value)
+            self._lift_to_outer_graph(value)
 
-    def _lift_to_outer(self, value: ir.Value) -> None:
+    def _lift_to_outer_graph(self, value: ir.Value) -> None:
         """Move a weight of a loop body to the surrounding graph, so that all copies share it."""
         outer_value = ir.Value(
             name=self._new_name(f"{self.stem}_{value.name}"),
@@ -283,7 +283,7 @@ class _BodyCopier:
         return name
 
 
-def _stack(before: InsertionPoint, values: Sequence[ir.Value], axis: int) -> ir.Value:
+def _stack_values(before: InsertionPoint, values: Sequence[ir.Value], axis: int) -> ir.Value:
     """Stack the results of all loop iterations along a new axis."""
     rank = rank_of(values[0])
     if axis < 0 and rank is not None:

@@ -148,7 +148,7 @@ def _prelu(f: _Formula) -> ir.Value:
     return f.where("Less", 0.0, f.op("Mul", f.x, slope), f.x)
 
 
-def _shrink(f: _Formula) -> ir.Value:
+def _write_shrink(f: _Formula) -> ir.Value:
     bound, bias = f.attribute("lambd", 0.5), f.attribute("bias", 0.0)
     above_bound = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
     return f.where("Less", -bound, f.op("Add", f.x, bias), above_bound)
@@ -169,7 +169,7 @@ _FORMULA_BY_OPERATOR: dict[str, Callable[[_Formula], ir.Value]] = {
     "Mish": lambda f: f.op("Mul", f.x, f.op("Tanh", _softplus(f))),
     "PRelu": _prelu,
     "Selu": _selu,
-    "Shrink": _shrink,
+    "Shrink": _write_shrink,
     "Softplus": _softplus,
     "Softsign": lambda f: f.op("Div", f.x, f.op("Add", f.op("Abs", f.x), 1.0)),
     "Swish": _swish,

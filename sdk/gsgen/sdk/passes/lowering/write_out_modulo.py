@@ -63,7 +63,7 @@ def _integer_remainder(
     # negative. The product might overflow, so the remainder is multiplied by the sign of y only.
     sign_product = write.op(
         "Where",
-        _absolute(write, y, zero),
+        _write_absolute_value(write, y, zero),
         remainder,
         write.op("Sub", zero, remainder),
         dtype=x.dtype,
@@ -86,9 +86,13 @@ def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.V
         "Where", is_negative, write.op("Add", remainder, step), remainder, dtype=x.dtype
     )
     return write.op(
-        "Where", _absolute(write, x, zero), remainder, write.op("Neg", remainder), dtype=x.dtype
+        "Where",
+        _write_absolute_value(write, x, zero),
+        remainder,
+        write.op("Neg", remainder),
+        dtype=x.dtype,
     )
 
 
-def _absolute(write: InsertionPoint, x: ir.Value, zero: ir.Value) -> ir.Value:
+def _write_absolute_value(write: InsertionPoint, x: ir.Value, zero: ir.Value) -> ir.Value:
     return write.op("Greater", x, zero, dtype=ir.DataType.BOOL)

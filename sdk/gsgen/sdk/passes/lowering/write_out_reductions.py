@@ -42,7 +42,7 @@ class WriteOutReductions(SubstituteNodes):
     def replace(self, node: ir.Node) -> None:
         """Replace a composite reduction by its formula with ReduceSum or ReduceMax."""
         write, x = InsertionPoint(node), required(node.inputs[0])
-        reduced = partial(_reduced, write, node, self.opset)
+        reduced = partial(_write_reduction, write, node, self.opset)
         match node.op_type:
             case "ReduceL1":
                 result = reduced("ReduceSum", write.op("Abs", x))
@@ -74,7 +74,7 @@ def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.V
     return write.op("Add", write.op("Log", reduced("ReduceSum", exponentials)), reduced_maximum)
 
 
-def _reduced(
+def _write_reduction(
     write: InsertionPoint,
     node: ir.Node,
     opset: int,

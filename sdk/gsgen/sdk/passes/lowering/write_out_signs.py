@@ -65,12 +65,14 @@ class WriteOutSigns(SubstituteNodes):
                 result = _is_infinite(write, node, x)
             case _:
                 # Numbers neither above nor below zero are zero or NaN, and stay so.
-                negative_sign = where(compare("Less", x, zero), _minus_one(write, kind, zero), x)
+                negative_sign = where(
+                    compare("Less", x, zero), _minus_one_constant(write, kind, zero), x
+                )
                 result = where(compare("Greater", x, zero), number(1), negative_sign)
         write.replace(result)
 
 
-def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
+def _minus_one_constant(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
     """Return the constant −1 in a value's dtype, or zero if the dtype is unsigned."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 

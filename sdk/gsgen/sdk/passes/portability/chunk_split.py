@@ -50,7 +50,7 @@ class ChunkSplit(LimitRewrite, SkippableRewrite):
                 groups = self._groups(part_sizes)
                 group_sizes = [sum(group) for group in groups]
                 split_values = (
-                    self._split_once(write, value, group_sizes, axis)
+                    self._split_chunk_once(write, value, group_sizes, axis)
                     if len(groups) > 1
                     else [value]
                 )
@@ -64,7 +64,7 @@ class ChunkSplit(LimitRewrite, SkippableRewrite):
         ends = [len(sizes) * k // count for k in range(count + 1)]
         return [sizes[a:b] for a, b in pairwise(ends)]
 
-    def _split_once(
+    def _split_chunk_once(
         self, write: InsertionPoint, value: ir.Value | None, sizes: list[int], axis: int
     ) -> list[ir.Value]:
         if self.opset >= _SIZES_ARE_INPUT:

@@ -36,13 +36,13 @@ class EndOutputsOnCompute(Rewrite):
                 continue  # sequences, optionals and strings have no arithmetic
             producer = value.producer()
             # Case 1: a copy, or a second output of the same value. Case 2: a weight.
-            if producer is None or _only_copies(producer) or value in visited:
+            if producer is None or _does_only_copy(producer) or value in visited:
                 self.note(value)
-                _end_on_mul(model.graph, index, value)
+                _append_mul_by_one(model.graph, index, value)
             visited.add(value)
 
 
-def _only_copies(node: ir.Node) -> bool:
+def _does_only_copy(node: ir.Node) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
     is_noop = node.attributes.get_int("noop_with_empty_axes", 0) == 1
@@ -54,7 +54,7 @@ def _only_copies(node: ir.Node) -> bool:
     )
 
 
-def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
+def _append_mul_by_one(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
     assert kind is not None  # the caller skips outputs without a type
     value.name = free_name(graph, f"{name}_uncopied")

@@ -93,12 +93,12 @@ class LowerOpset(SkippableRewrite):
     def _can_be_lowered(self, model: ir.Model) -> bool:
         for node in model.graph.all_nodes():
             if node.domain in MAIN_DOMAIN:
-                obstacle = self._obstacle(node)
+                obstacle = self._lowering_obstacle(node)
                 if obstacle:
                     self.refuse(node, obstacle)
         return not self.refusals
 
-    def _obstacle(self, node: ir.Node) -> str:
+    def _lowering_obstacle(self, node: ir.Node) -> str:
         """Return why a node has no equivalent in the lower operator set; empty if one exists."""
         if self.opset > _NEWEST_KNOWN_OPSET:
             return f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
@@ -109,7 +109,7 @@ class LowerOpset(SkippableRewrite):
             old_schema is not None and new_schema.since_version == old_schema.since_version
         ):
             return ""
-        if self._is_written_out(node, old_schema):
+        if self._is_lowered_elsewhere(node, old_schema):
             return "" if self._writer(node).can_replace(node) else "its dtype or rank is not known"
         if old_schema is None:
             return f"operator set {self.target_opset} has no {node.op_type}"
@@ -125,7 +125,7 @@ class LowerOpset(SkippableRewrite):
             or _dtype_obstacle(node, old_schema)
         )
 
-    def _is_written_out(self, node: ir.Node, old_schema: onnx.defs.OpSchema | None) -> bool:
+    def _is_lowered_elsewhere(self, node: ir.Node, old_schema: onnx.defs.OpSchema | None) -> bool:
         kinds = WriteOutNorms.kinds | WriteOutActivations.kinds
         # GroupNormalization had a scale per group before operator set 21.
         return node.op_type in kinds and (old_schema is None or is_op(node, "GroupNormalization"))
@@ -144,7 +144,7 @@ class LowerOpset(SkippableRewrite):
         ):
             return
         self.note(node)
-        if self._is_written_out(node, old_schema):  # Case 3
+        if self._is_lowered_elsewhere(node, old_schema):  # Case 3
             self._writer(node).replace(node)
             return
         assert old_schema is not None

@@ -54,7 +54,7 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
         spans = spans_of(model, self.target.manifest if self.target else None)
         for node in _frame_nodes(model.graph):
             if self._can_narrow(node):  # Case 1
-                self._narrow(node, spans)
+                self._narrow_node(node, spans)
             elif self._sums_integers(node):  # Case 2
                 self._sum_floats(node, spans)
         for node in model.graph.all_nodes():
@@ -75,7 +75,7 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
         )
         return self.target.lacks_kernel(node, self.opset, variant) and not _is_integer_cast(node)
 
-    def _narrow(self, node: ir.Node, spans: dict[str, Interval]) -> None:
+    def _narrow_node(self, node: ir.Node, spans: dict[str, Interval]) -> None:
         values = [value for value in (*_computed_inputs(node), *node.outputs) if value is not None]
         for value in values:
             if value.dtype == _INT64 and not fits_int32(spans.get(value.name or "")):

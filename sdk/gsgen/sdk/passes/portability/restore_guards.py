@@ -48,7 +48,9 @@ class RestoreGuards(SkippableRewrite):
             divisor = required(node.inputs[divisor_index])
             if divisor.dtype not in FLOAT_TYPES or is_never_zero(divisor):
                 continue
-            if constant_of(divisor) is not None or not (_is_length(divisor) or _is_square(divisor)):
+            if constant_of(divisor) is not None or not (
+                _is_vector_length(divisor) or _is_square(divisor)
+            ):
                 self.refuse(node, f"its divisor {divisor.name} may be zero, and is not a length")
                 continue
             self.note(node)
@@ -68,7 +70,7 @@ def _divisor_index(node: ir.Node) -> int | None:
 def _insert_guard(node: ir.Node, divisor_index: int) -> None:
     divisor = required(node.inputs[divisor_index])
     assert divisor.dtype is not None
-    minimum = _MIN_LENGTH if _is_length(divisor) else _MIN_SQUARE
+    minimum = _MIN_LENGTH if _is_vector_length(divisor) else _MIN_SQUARE
     smallest, dtype = max(minimum, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
     before = InsertionPoint(node)
     zero, smallest_value = (before.constant(np.asarray(value, dtype)) for value in (0, smallest))
@@ -79,7 +81,7 @@ def _insert_guard(node: ir.Node, divisor_index: int) -> None:
     node.replace_input_with(divisor_index, guarded_divisor)
 
 
-def _is_length(value: ir.Value | None) -> bool:
+def _is_vector_length(value: ir.Value | None) -> bool:
     source_node = _producer_behind_guards(value)
     if is_op(source_node, "ReduceL2"):
         return True
@@ -118,14 +120,16 @@ def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
         source_node = value.producer()
         if source_node is None:
             return None
-        input_index = 0 if is_op(source_node, *_MOVE_OPERATORS) else _guarded_input(source_node)
+        input_index = (
+            0 if is_op(source_node, *_MOVE_OPERATORS) else _guarded_input_index(source_node)
+        )
         if input_index is None:
             return source_node
         value = source_node.inputs[input_index]
     return None
 
 
-def _guarded_input(node: ir.Node) -> int | None:
+def _guarded_input_index(node: ir.Node) -> int | None:
     """Return the index of x in a zero guard such as Max(x, ε) whose ε is too small; else None."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None

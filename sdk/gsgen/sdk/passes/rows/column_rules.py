@@ -41,7 +41,7 @@ _RESHAPE_OPERATORS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 def works_on_columns(node: ir.Node, rows: int) -> bool:
     """Return whether a node on tensors of many rows can be evaluated column by column."""
     if is_op(node, *_ELEMENTWISE):
-        return all(value is None or _may_be_operand(value, node, rows) for value in node.inputs)
+        return all(value is None or _may_be_row_operand(value, node, rows) for value in node.inputs)
     first = node.inputs[0] if node.inputs else None
     shape = fixed_shape(first)
     if not shape or shape[0] != rows:
@@ -106,7 +106,7 @@ def columns_of(
     return list(np.split(columns, np.cumsum(sizes)[:-1], axis))
 
 
-def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
+def _may_be_row_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
     """Return whether a value can be an operand of a node that is computed column by column."""
     shape, result_shape = fixed_shape(value), fixed_shape(node.outputs[0])
     if shape is None or result_shape is None:

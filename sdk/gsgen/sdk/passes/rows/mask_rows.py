@@ -139,16 +139,16 @@ class _MaskingAttempt:
                 continue
             for inner in attribute.as_graph().all_nodes():
                 facts = [self.facts.get(value) for value in inner.inputs if value is not None]
-                if any(_varies(fact) for fact in facts):
+                if any(_does_vary_by_row(fact) for fact in facts):
                     raise MaskBlocked(inner, "a subgraph reads rows of a mask", _masks(facts))
 
     def _propagate(self, node: ir.Node) -> None:
         facts = [None if value is None else self.facts.get(value) for value in node.inputs]
         if not any(fact is not None for fact in facts):
-            fact = self._source_fact(node)
+            fact = self._source_row_fact(node)
         elif is_op(node, "Split"):
             parts = split_rows(node, facts, self.draft)
-            if parts is None and any(_varies(fact) for fact in facts):
+            if parts is None and any(_does_vary_by_row(fact) for fact in facts):
                 raise MaskBlocked(node, "it may split the rows", _masks(facts))
             self.facts.update(zip(node.outputs, parts or (), strict=False))
             return
@@ -159,7 +159,9 @@ class _MaskingAttempt:
             fact = self._propagated_fact(node, facts)
         if fact is not None:
             self.facts[node.outputs[0]] = fact
-        elif not self._replace_counts(node, facts) and any(_varies(fact) for fact in facts):
+        elif not self._replace_counts(node, facts) and any(
+            _does_vary_by_row(fact) for fact in facts
+        ):
             raise MaskBlocked(
                 node, "it may mix rows, or its shape depends on the count", _masks(facts)
             )
@@ -179,7 +181,7 @@ class _MaskingAttempt:
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
-    def _source_fact(self, node: ir.Node) -> RowTensorFact | None:
+    def _source_row_fact(self, node: ir.Node) -> RowTensorFact | None:
         if is_op(node, "NonZero"):
             fact: RowTensorFact | None = nonzero_index(node)
         elif is_op(node, "Compress"):
@@ -305,7 +307,7 @@ class _MaskingAttempt:
         )
 
 
-def _varies(fact: RowTensorFact | None) -> bool:
+def _does_vary_by_row(fact: RowTensorFact | None) -> bool:
     return fact is not None and (not isinstance(fact, Linear) or fact.varies)
 
 

@@ -125,13 +125,13 @@ def _truth_source(value: ir.Value | None) -> ir.Value | None:
     while value is not None:
         producer = value.producer()
         source = producer.inputs[0] if producer is not None and producer.inputs else None
-        if producer is None or source is None or not _keeps_truth(producer, source, value):
+        if producer is None or source is None or not _does_keep_mask_truth(producer, source, value):
             return value
         value = source
     return None
 
 
-def _keeps_truth(node: ir.Node, source: ir.Value, result: ir.Value) -> bool:
+def _does_keep_mask_truth(node: ir.Node, source: ir.Value, result: ir.Value) -> bool:
     if is_op(node, "Identity"):
         return True
     if is_op(node, "Cast"):

@@ -55,7 +55,7 @@ def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | No
     return None if row_rule is None else row_rule(node, rows, facts, draft)
 
 
-def _draft_for_all_rows(
+def _draft_on_all_rows(
     node: ir.Node, inputs: Sequence[ir.Value | None], axis: int, rows: Rows, draft: RowDraft
 ) -> Rows | None:
     """Create a copy of a node that computes all N rows instead of the K rows a mask selects."""
@@ -77,7 +77,7 @@ def _full_shape(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
     return None
 
 
-def _full_inputs(node: ir.Node, facts: RowFacts) -> list[ir.Value | None]:
+def _inputs_with_all_rows(node: ir.Node, facts: RowFacts) -> list[ir.Value | None]:
     return [
         fact.value if isinstance(fact, Rows) else value
         for value, fact in zip(node.inputs, facts, strict=True)
@@ -96,7 +96,7 @@ def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None
     ):
         return None
     (negative_axis,) = negative_axes
-    inputs = _full_inputs(node, facts)
+    inputs = _inputs_with_all_rows(node, facts)
     for input_index, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):
         if isinstance(fact, Linear) and value is not None:
             inputs[input_index] = value = draft.number(fact, value)
@@ -111,7 +111,7 @@ def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None
         known = constant_of(node.inputs[1])
         if known is None or not known.all():
             return None
-    return _draft_for_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
+    return _draft_on_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
 
 
 def _concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -122,7 +122,7 @@ def _concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     is_compatible = all(isinstance(fact, Rows) and fact.axis == rows.axis for fact in facts)
     if axis == rows.axis or not is_compatible:
         return None
-    return _draft_for_all_rows(node, _full_inputs(node, facts), rows.axis, rows, draft)
+    return _draft_on_all_rows(node, _inputs_with_all_rows(node, facts), rows.axis, rows, draft)
 
 
 def _matrix_product(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -133,7 +133,9 @@ def _matrix_product(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | N
     row_axis = _gemm_row_axis(node, facts) if is_op(node, "Gemm") else _matmul_row_axis(node, facts)
     if row_axis is None:
         return None
-    return _draft_for_all_rows(node, _full_inputs(node, facts), row_axis, row_facts[0], draft)
+    return _draft_on_all_rows(
+        node, _inputs_with_all_rows(node, facts), row_axis, row_facts[0], draft
+    )
 
 
 def _gemm_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
@@ -147,7 +149,7 @@ def _gemm_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
 
 def _matmul_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
     """Return the axis of the rows in a matrix product; batched operands must share the axis."""
-    values = _full_inputs(node, facts)
+    values = _inputs_with_all_rows(node, facts)
     ranks, result_rank = [rank_of(value) for value in values], rank_of(node.outputs[0])
     if None in ranks or result_rank is None or 1 in ranks:
         rows = facts[0]
@@ -195,8 +197,8 @@ def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     is_used_once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
     if not is_used_once or letter in other_letters:
         return None
-    return _draft_for_all_rows(
-        node, _full_inputs(node, facts), output_term.index(letter), row_facts[0], draft
+    return _draft_on_all_rows(
+        node, _inputs_with_all_rows(node, facts), output_term.index(letter), row_facts[0], draft
     )
 
 
@@ -215,7 +217,7 @@ def _slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows 
     for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
         if axis == rows.axis and not (start == 0 and end >= UNBOUNDED_END and step == 1):
             return None
-    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
+    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
 
 
 def _gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -225,7 +227,7 @@ def _gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
     if axis == rows.axis or index is None or facts[1] is not None:
         return None
     row_axis = rows.axis + (index - 1 if axis < rows.axis else 0)
-    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def axes_of(node: ir.Node) -> list[int] | None:
@@ -246,7 +248,7 @@ def _reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
     removed_axes = (
         0 if int_attribute(node, "keepdims", 1) else sum(p < rows.axis for p in reduced_axes)
     )
-    return _draft_for_all_rows(
+    return _draft_on_all_rows(
         node, [rows.value, *node.inputs[1:]], rows.axis - removed_axes, rows, draft
     )
 
@@ -262,7 +264,7 @@ def _along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> 
         return None
     drops_axis = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
     row_axis = rows.axis - (1 if drops_axis and axis < rows.axis else 0)
-    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -270,7 +272,7 @@ def _squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Row
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
     row_axis = rows.axis - sum(axis % rank < rows.axis for axis in axes)
-    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -279,14 +281,14 @@ def _unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> R
         return None
     bias = {axis % rank for axis in axes}
     row_axis = [axis for axis in range(rank) if axis not in bias][rows.axis]
-    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _transpose(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     order = node.attributes.get("perm")
     axes = list(range(rank))[::-1] if order is None else list(order.as_ints())
-    return _draft_for_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
+    return _draft_on_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
 
 
 def _reshape(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -333,7 +335,7 @@ def _target_shape(node: ir.Node, facts: RowFacts) -> list[int] | None:
     return sizes
 
 
-def _expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an Expand of all N rows, not the K that a mask selects; None if it repeats rows."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
@@ -364,7 +366,7 @@ def _expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
 
 _RowRule = Callable[[ir.Node, Rows, RowFacts, RowDraft], Rows | None]
 _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
-    "Expand": _expand,
+    "Expand": _mask_expand,
     "Gather": _gather,
     "Reshape": _reshape,
     "Slice": _slice,

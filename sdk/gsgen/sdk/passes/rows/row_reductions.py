@@ -96,7 +96,9 @@ def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.axis != 0 or rows.flat:
         return None
-    padding = _concat_padding(node, facts) if is_op(node, "Concat") else _pad_padding(node, facts)
+    padding = (
+        _concat_padding(node, facts) if is_op(node, "Concat") else _padding_of_pad_node(node, facts)
+    )
     shape = fixed_shape(rows.value)
     if padding is None or shape is None:
         return None
@@ -121,7 +123,7 @@ def _concat_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | 
     return facts[1].capacity, facts[1].row
 
 
-def _pad_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:
+def _padding_of_pad_node(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:
     mode, pad_sizes = node.attributes.get("mode"), facts[1] if len(facts) > 1 else None
     rank = rank_of(node.inputs[0]) or 0
     if (mode is not None and mode.as_string() != "constant") or len(facts) > 3:

@@ -141,9 +141,11 @@ class _ColumnPlan:
             return array.reshape(shape[1:])
 
         self._run(lambda _: (emit, leaf), lambda *_: None)
-        widths = [_width(value) for value in split_values if value.producer() is not None]
+        widths = [_row_width(value) for value in split_values if value.producer() is not None]
         # A target with few bindings joins more than seven columns in two steps.
-        joined_widths = [_width(value) for value in self.external_results if _width(value) > 1]
+        joined_widths = [
+            _row_width(value) for value in self.external_results if _row_width(value) > 1
+        ]
         total_widths = [width * (2 if width > SAFE_TENSOR_COUNT else 1) for width in joined_widths]
         return (
             _ELEMENTWISE_COST * len(numbers)
@@ -195,16 +197,16 @@ class _ColumnPlan:
             finish(write, node, columns)
 
 
-def _width(value: ir.Value) -> int:
+def _row_width(value: ir.Value) -> int:
     return prod((fixed_shape(value) or (1,))[1:])
 
 
 def _operator_cost(node: ir.Node, rows: int) -> float:
     """Return the predicted execution time of a node, in nanoseconds per row."""
-    result_width = sum(_width(value) for value in node.outputs)
+    result_width = sum(_row_width(value) for value in node.outputs)
     first = node.inputs[0]
     input_width = (
-        _width(first) if first is not None and (fixed_shape(first) or (0,))[0] == rows else 1
+        _row_width(first) if first is not None and (fixed_shape(first) or (0,))[0] == rows else 1
     )
     if is_op(node, *_COPY_OPERATORS):
         return 0.0

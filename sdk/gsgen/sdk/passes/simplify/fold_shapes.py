@@ -58,7 +58,7 @@ class FoldShapes(SkippableRewrite):
             return None
         if is_op(node, "Shape", "Size"):
             return _shape_of(node)
-        part = _part_of_shape(node)
+        part = _selected_dimensions(node)
         if part is not None:
             return part
         inputs = [constant_of(value, _SMALL_SIZE) for value in node.inputs]
@@ -98,7 +98,7 @@ def _shape_axes(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
     return list(value.shape)[start : None if end is None else end.as_int()]
 
 
-def _part_of_shape(node: ir.Node) -> np.ndarray | None:
+def _selected_dimensions(node: ir.Node) -> np.ndarray | None:
     """Return the part of a shape that Gather or Slice selects, if all its sizes are known."""
     source = node.inputs[0] if node.inputs else None
     maker = source.producer() if source is not None else None

@@ -69,7 +69,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
     if is_op(node, "Cast", "CastLike"):
         return x if x.dtype is not None and x.dtype == node.outputs[0].dtype else None
     if is_op(node, *_REDUCTIONS):
-        return x if _reduces_nothing(node) else None
+        return x if _is_empty_reduction(node) else None
     if is_op(node, *_NEUTRAL_BY_OPERATOR):
         return _neutral_operand_partner(node)
     shape, result_shape = fixed_shape(x), fixed_shape(node.outputs[0])
@@ -80,7 +80,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
     return x if _keeps_positions(node, len(shape)) else None
 
 
-def _reduces_nothing(node: ir.Node) -> bool:
+def _is_empty_reduction(node: ir.Node) -> bool:
     if "axes" in node.attributes or not int_attribute(node, "noop_with_empty_axes", 0):
         return False
     axes_input = node.inputs[1] if len(node.inputs) > 1 else None
