@@ -48,7 +48,7 @@ _OVERRIDES: Final = {
     "gsgen.contract.spec.manifest_io._published_schema": "publishedSchema",
     "gsgen.contract.spec.fields.json_schema.from_json": "py.fromJson",
     "gsgen.contract.model.graph._infer_facts": "noFacts",
-    "gsgen.contract.model.graph._to_dense": "denseWeight",
+    "gsgen.contract.model.graph._densify_sparse_tensor": "denseWeight",
     "collections.Counter": "py.counter",
     "itertools.chain": "py.chain",
     "json.loads": "py.loads",

@@ -68,7 +68,7 @@ def fly(address: str, folder: Path) -> dict[str, object]:
     root_at, holes_at_root = None, 0
     warm_frames = 0
     for number in range(_MOST_WARM + len(cameras)):
-        is_complete = source._last is not None and source._last.is_complete
+        is_complete = source._last_session_frame is not None and source._last.is_complete
         if warm_frames == 0 and (is_complete or number == _MOST_WARM):
             warm_frames = number  # the flight begins
         if warm_frames and number == warm_frames + len(cameras):
@@ -79,11 +79,13 @@ def fly(address: str, folder: Path) -> dict[str, object]:
         wall.append(time.perf_counter() - start)
         cpu.append(time.process_time() - cpu_start)
         own.append(time.thread_time() - thread)
-        uploaded.append(sum(arrival.upload_bytes for arrival in source._last.arrivals))
-        drawn.append(len(source._last.drawn))
+        uploaded.append(
+            sum(arrival.upload_bytes for arrival in source._last_session_frame.arrivals)
+        )
+        drawn.append(len(source._last_session_frame.drawn))
         rows.append(source.count)
         resident.append(int(tree.splats[session.resident].sum()))
-        missing.append(source._last.missing)
+        missing.append(source._last_session_frame.missing)
         if root_at is None and session.resident[0]:
             root_at, holes_at_root = number, session.metrics.hole_frames
     metrics = session.metrics

@@ -92,7 +92,7 @@ class Plan:
         self._origins = scene_order(placed)
         # Step 2: allocate what each frame writes: uniforms, counts, and buffers that begin as zeros.
         self._frame = device.uniform("frame", FRAME.itemsize)
-        self._frame_without_background = device.uniform("frame with nothing behind", FRAME.itemsize)
+        self._black_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
@@ -100,11 +100,11 @@ class Plan:
         self._counts = self._storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
         initial_counts = counting.initial(n, method.pair_capacity, panorama=image.panorama)
         device.write(self._counts, initial_counts)
-        self._retained_buffers = {"counts": self._counts}
+        self._counters = {"counts": self._counts}
         self._records = kernels.records(n)
         self._projected_buffers, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {"frame": self._frame, "bare frame": self._frame_without_background}
+        self.inputs = {"frame": self._frame, "bare frame": self._black_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
         self._layers = self._allocate_input_layers(layers) if layers else None
         self.buffer_clears = self._cleared_buffers()
@@ -128,7 +128,7 @@ class Plan:
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
         if weighted_pairs:
-            frames = (self._frame, self._frame_without_background)
+            frames = (self._frame, self._black_frame)
             self._weighted_part = WeightedPart(
                 kernels, weighted_pairs, image, method, frames, self._layers
             )
@@ -151,7 +151,7 @@ class Plan:
         self.images |= part.images
         self.stages |= part.stages
         self.buffer_clears += part.buffer_clears
-        self._retained_buffers["counts of cells"] = part.counts
+        self._counters["counts of cells"] = part.counts
 
     def _slabs(
         self, placed: Sequence[PlacedPage], splats: int | None, *, with_ids: bool
@@ -336,7 +336,7 @@ class Plan:
 
     def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
         self.images[name] = self._storage(f"{name} image", VEC4 * self.image.pixels)
-        frame = self._frame if name == "color" else self._frame_without_background
+        frame = self._frame if name == "color" else self._black_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
         kernel = self._kernels.blend(
@@ -429,10 +429,7 @@ class Plan:
         if self._weighted_part is not None:
             self._weighted_part.write(weighted_pages(placed), camera)
         placed = sorted_pages(placed)
-        for buffer, color in (
-            (self._frame, background),
-            (self._frame_without_background, np.zeros(3)),
-        ):
+        for buffer, color in ((self._frame, background), (self._black_frame, np.zeros(3))):
             uniform = frame_uniform(band.full_camera, color, first_row=band.first, rows=band.rows)
             device.write(buffer, state.write_uniform(uniform))
         write_pages(device, placed, camera, self._slots)
@@ -468,24 +465,17 @@ class Plan:
         if clock is not None:
             clock.encode(encoder)
         # Step 4: copy what the host reads, and submit all at once.
-        (staging or self._readback.staging).encode(
-            encoder, None if fetch else self._retained_buffers
-        )
+        (staging or self._readback.staging).encode(encoder, None if fetch else self._counters)
         device.submit(encoder)
 
     def counts_staging(self) -> StagingBuffers:
         """Return a new staging buffer through which a frame's GPU counters are read."""
-        return StagingBuffers(self._device, self._retained_buffers)
+        return StagingBuffers(self._device, self._counters)
 
     def readback(self) -> FrameReadback:
         """Return a new readback of a frame's GPU counters and images."""
         return FrameReadback(
-            self._device,
-            self._kernels,
-            self._retained_buffers,
-            self.images,
-            self.image.size,
-            self._origins,
+            self._device, self._kernels, self._counters, self.images, self.image.size, self._origins
         )
 
     def collect(self, *, fetch: bool = True, state: SlabState | None = None) -> CountsAndImages:

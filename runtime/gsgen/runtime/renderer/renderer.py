@@ -209,9 +209,7 @@ class Renderer:
         """
         if wait:
             self._steady_counts = None
-            plan, counts = self._draw_in_one_command_buffer(
-                scene, Band.of(camera), background, output
-            )
+            plan, counts = self._draw_in_one_submit(scene, Band.of(camera), background, output)
         else:
             requested, rgba = checked(scene, (output,), background, published=self._is_published)
             with self._device_errors(scene, camera):
@@ -239,7 +237,7 @@ class Renderer:
         drawn = list[DrawnImage]()
 
         def draw(band: Band) -> CountsAndImages:
-            plan, counts = self._draw_in_one_command_buffer(scene, band, background, output)
+            plan, counts = self._draw_in_one_submit(scene, band, background, output)
             image = self._band_images.copy(len(drawn), plan.images[output])
             drawn.append(DrawnImage.of(image, band, counts))
             return counts, {}
@@ -272,7 +270,7 @@ class Renderer:
         slab_layers = extra_layers(scene, self.device, self._max_slab_splats)
         return band_rows(self.device, camera, images, layers + slab_layers)
 
-    def _draw_in_one_command_buffer(
+    def _draw_in_one_submit(
         self, scene: Scene, band: Band, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""

@@ -70,7 +70,7 @@ class WeightedPart:
             method,
             layers,
         )
-        self._frame, self._frame_without_background = frames
+        self._frame, self._black_frame = frames
         self._tiles = image.tiles(TILE)
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
@@ -295,10 +295,10 @@ class WeightedPart:
                 first_plane=first_plane,
             )
             image = self._layers.normals if last else self._layers.colors
-            bound_buffers = (self._frame_without_background, *resources, image)
+            bound_buffers = (self._black_frame, *resources, image)
             return kernel.step(self._tiles, bound_buffers, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
-        frame = self._frame if name == "color" else self._frame_without_background
+        frame = self._frame if name == "color" else self._black_frame
         sums = (
             self._storage(f"{name} kept", 4 * PLANE_COUNT_BY_NORMAL[pick] * pixels)
             if uses_slabs
