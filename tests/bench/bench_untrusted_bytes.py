@@ -20,7 +20,6 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
-from gsgen.reference_plugins.loading.states import read_script_state
 from gsgen.reference_plugins.samples import garden
 from support.hostile.model_escapes import (
     COMMANDS,
@@ -102,6 +101,8 @@ def pickle_faults(folder: Path) -> Iterator[Fault]:
 
 def script_faults(folder: Path) -> Iterator[Fault]:
     """Yield the faults of reading hostile TorchScript archives."""
+    from gsgen.reference_plugins.loading.states import read_script_state  # imports torch
+
     read = 0
     for name in SCRIPTS:
         path = write_script(folder, name)

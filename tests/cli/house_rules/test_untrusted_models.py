@@ -28,6 +28,17 @@ def test_a_command_copies_nothing_from_outside(tmp_path, command):
         assert len(ran.err.strip().splitlines()) <= 3
 
 
+@pytest.mark.parametrize("command", ["fix", "float16", "bench"])
+@pytest.mark.parametrize("name", ["links in a circle", "a name with a zero byte"])
+def test_names_that_no_path_can_have_are_refused_in_one_line(tmp_path, command, name):
+    place = write_escape(tmp_path, name)
+    (place.inside / "out").mkdir()
+    ran = gsgen_here(*command_words(command), cwd=place.inside)
+    assert ran.code == 4
+    assert "GS001" in ran.err
+    assert len(ran.err.strip().splitlines()) <= 3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a pipe", "a link to a device", "a link to standard input"])
 def test_a_conversion_of_weights_without_end_is_refused_at_once(tmp_path, name):

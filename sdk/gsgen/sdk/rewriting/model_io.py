@@ -4,13 +4,13 @@ __all__ = ["has_external_weights", "load_model", "refuse_overwriting", "save_mod
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import onnx_ir as ir
 
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
-from gsgen.contract.model.files_beside import contained_file, require_loadable
+from gsgen.contract.model.files_beside import FileRefused, contained_file, require_loadable
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 
@@ -80,12 +80,19 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     """
     if path.resolve() == source.path.resolve():
         return
-    read = {(source.loading_path.parent / ref.location).resolve() for ref in source.external}
+    read = set(_weight_files(source))
     written_paths = path.resolve(), path.with_name(f"{path.name}.data").resolve()
     overwritten_names = [target.name for target in written_paths if target in read]
     if overwritten_names:
         message = f"would replace {overwritten_names[0]}, which {source.path.name} reads"
         raise ConfigInvalid(message, where=str(path), hint="Choose another name or folder.")
+
+
+def _weight_files(source: ModelFile) -> Iterator[Path]:
+    """Yield the files of a model's external weights that may be read; others cannot be saved."""
+    for ref in source.external:
+        with suppress(FileRefused):
+            yield contained_file(source.loading_path, ref.location)
 
 
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:

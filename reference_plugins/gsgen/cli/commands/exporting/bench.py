@@ -87,11 +87,11 @@ def bench(
 
 def _require_models(models: list[Path]) -> None:
     """Exit with an error before measuring if one of the files is not a model."""
-    from gsgen.contract.model.model_file import open_model
+    from gsgen.contract.model.files_beside import require_loadable
 
     with exit_at_error():
         for model in models:
-            open_model(model)
+            require_loadable(model)
 
 
 def _measure(
