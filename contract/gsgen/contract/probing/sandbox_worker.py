@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.process.confinement import confine
-from gsgen.contract.process.limits import is_out_of_memory, limit_memory
+from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
 
@@ -79,6 +79,7 @@ def _run_sandbox_job(
     if not job["trusted"]:
         confine(readable, [folder], file_bytes=job["memory"], has_gpu=job["has_gpu"])
     exit_with_parent()
+    limit_processor_time(job["seconds"])  # should the parent be killed while a model is loaded
     with (folder / "events.jsonl").open("w", buffering=1, encoding="utf-8") as log:
 
         def emit(event: str, **facts: object) -> None:

@@ -132,7 +132,8 @@ class _Child:
             "has_gpu": has_gpu,
             "host_limit": inherited_memory_limit(),
         }
-        send(self._control_socket, job)
+        with suppress(OSError):  # it has ended, which the first session reports
+            send(self._control_socket, job)
 
     def may_open(self, file: ModelFile, *, needs_gpu: bool) -> bool:
         """Return whether the process may read a model's files, and still runs."""
