@@ -228,7 +228,7 @@ def test_generators_run_on_the_execution_provider_that_was_asked_for(
 ) -> None:
     providers = []
 
-    def open_worker(path: Path, provider: str) -> GeneratorWorker:
+    def open_worker(path: Path, provider: str, **_: object) -> GeneratorWorker:
         providers.append(provider)
         return GeneratorWorker(path, "cpu")  # the only one of every machine
 

@@ -27,6 +27,8 @@ def main(folder: Path) -> int:
 
 
 def _run_job(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
+    if not job["trusted"] and job["provider"] != "cuda":  # CUDA reserves addresses for a whole GPU
+        limit_memory(job["memory"] + DRIVER_BYTES * (job["provider"] != "cpu"))
     try:
         emit("measured", facts=_measure(job))
     except ProviderUnavailable as error:
@@ -45,8 +47,6 @@ def _error_line(error: GsgenError) -> str:
 
 def _measure(job: dict[str, Any]) -> dict[str, Any]:
     warnings.simplefilter("ignore")  # the facts contain their content
-    if not job["trusted"] and job["provider"] != "cuda":  # CUDA reserves addresses for a whole GPU
-        limit_memory(job["memory"] + DRIVER_BYTES * (job["provider"] != "cpu"))
     import onnxruntime  # noqa: F401 (the first frame does not include loading the library)
 
     start = time.perf_counter()
