@@ -85,6 +85,17 @@ def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) 
     assert validate_pictures(trained / "copy.onnx") == ("pass", 0)
 
 
+def test_fields_of_the_cameras_that_are_not_used_are_noted(trained: Path) -> None:
+    path = trained / "transforms.json"
+    document = json.loads(path.read_text())
+    document["frames"][0]["time"] = 0.5
+    path.write_text(json.dumps(document | {"aabb_scale": 4}))
+    completed = recorded(trained)
+    assert completed.code == 0, completed.err
+    assert "not used: aabb_scale" in completed.err
+    assert "not used: the times; all pictures have the inputs of" in completed.err
+
+
 def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> None:
     spec = find("still_sh1").draw()
     colors = spec.weights["colors"].reshape(-1, 4, 3)[..., ::-1].reshape(-1, 12)

@@ -64,6 +64,7 @@ class SourcePictures:
         decibels: How closely the model draws each of them, in the same order.
         names: File names of the pictures, in the same order.
         unmatched: File names of pictures without a camera.
+        notes: Notes on the file of cameras, such as fields that are not used.
     """
 
     model: Path
@@ -71,6 +72,7 @@ class SourcePictures:
     decibels: tuple[float, ...]
     names: tuple[str, ...]
     unmatched: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 @final
@@ -128,7 +130,8 @@ def record_source_pictures(
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
     chosen_probe = _probe(subject, settings, probe)
-    sources, unmatched = _match_cameras(folder, open_cameras(cameras))
+    camera_file = open_cameras(cameras)
+    sources, unmatched = _match_cameras(folder, camera_file)
     selected = evenly_spaced(sources, min(count or len(sources), len(sources), MAX_REFERENCES))
     progress(f"drawing {len(selected)} pictures")
     decibels = _compare(subject, chosen_probe, selected, renderer or Renderer(rasteriser="tiles"))
@@ -154,7 +157,15 @@ def record_source_pictures(
         decibels=decibels,
         names=tuple(entry.name for entry in selected),
         unmatched=unmatched,
+        notes=camera_file.notes + _time_notes(camera_file, chosen_probe),
     )
+
+
+def _time_notes(file: CameraFile, probe: Probe) -> tuple[str, ...]:
+    """Return a note if cameras have times, which the one probe of all pictures replaces."""
+    if all(entry.time is None for entry in file.cameras):
+        return ()
+    return (f"{file.path}: not used: the times; all pictures have the inputs of {probe.label!r}",)
 
 
 def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Probe:

@@ -162,6 +162,8 @@ def _print(result: "References", *, as_json: bool) -> None:
 
 
 def _print_source(pictures: "SourcePictures", *, as_json: bool) -> None:
+    for note in pictures.notes:
+        echo(f"note: {note}", err=True)
     for name in pictures.unmatched:
         echo(f"note: no camera is named like {name}", err=True)
     if as_json:
