@@ -279,3 +279,18 @@ def test_malformed_address_is_named(address: str, tmp_path: Path) -> None:
     assert completed.code == 4, completed.err
     assert "is not a web address" in completed.err
     assert "Traceback" not in completed.err
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_an_archived_file_with_another_crc_is_refused(tmp_path: Path, compression: int) -> None:
+    path = tmp_path / "a.3tz"
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        archive.writestr("a.bin", bytes(range(256)))
+    content = bytearray(path.read_bytes())
+    directory = content.index(b"PK\x01\x02")
+    content[directory + 16] ^= 1  # a byte of the CRC
+    path.write_bytes(content)
+    with ZipStore(path) as opened:
+        assert opened.read("a.bin", start=3, size=2) == b"\x03\x04"
+        with pytest.raises(TilesetInvalid, match="CRC-32"):
+            opened.read("a.bin")
