@@ -63,6 +63,17 @@ def test_played_frames_equal_single_runs(drift: GeneratorPlayer) -> None:
         assert np.array_equal(first, other)
 
 
+def test_frames_of_a_confined_player_equal_those_of_the_process(
+    drift: GeneratorPlayer, models: Path, renderer: Renderer
+) -> None:
+    expected = [frame.rgba for frame in drift.play(CAMERA, times=TIMES)]
+    with GeneratorPlayer(
+        models / "drift.onnx", provider="cpu", renderer=renderer, confined=True
+    ) as player:
+        actual = [frame.rgba for frame in player.play(CAMERA, times=TIMES)]
+    assert all(np.array_equal(a, b) for a, b in zip(actual, expected, strict=True))
+
+
 def test_the_next_frame_is_computed_while_one_is_drawn(
     drift: GeneratorPlayer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

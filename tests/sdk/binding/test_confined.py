@@ -1,5 +1,6 @@
 """A confined session computes what one in the process computes, and ends at its limits."""
 
+import gc
 import os
 import signal
 import threading
@@ -145,3 +146,22 @@ def test_a_hostile_model_ends_at_a_limit_with_one_line(tmp_path: Path, name: str
     assert time.monotonic() - start < 12
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_processes_end_with_their_last_session(models: dict[str, Path]) -> None:
+    before = process_ids()
+    path = models["drift-float32"]
+    session = FrameSession(path, provider="cpu", confined=ConfinedModels([path]))
+    gc.collect()
+    assert session.run().count > 0
+    session.close()
+    del session
+    gc.collect()
+    assert process_ids() <= before
+
+
+def test_a_session_whose_process_was_closed_says_so(models: dict[str, Path]) -> None:
+    with ConfinedModels([models["drift-float32"]]) as processes:
+        session = FrameSession(models["drift-float32"], provider="cpu", confined=processes)
+    with pytest.raises(SessionClosed, match="was closed"):
+        session.run()

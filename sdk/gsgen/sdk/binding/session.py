@@ -134,6 +134,7 @@ class FrameSession:
         if isinstance(confined, bool):
             has_gpu = settings["provider"] != "cpu"
             self._own_process = confined = ConfinedModels([self.path], has_gpu=has_gpu)
+        self._confined = confined  # which would end its processes if it were collected
         try:
             return open_confined(self._sources, confined, **settings)
         except BaseException:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import tempfile
 import threading
+import weakref
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -21,7 +22,7 @@ from gsgen.contract.process.parent_watchdog import child_environment, python_com
 from gsgen.sdk.binding.bound_session import host_bytes
 from gsgen.sdk.binding.confined.messages import Message, error_of, receive, send
 from gsgen.sdk.binding.confined.shared_arrays import SharedMemory, create_memory_file
-from gsgen.sdk.binding.providers.errors import RunFailed
+from gsgen.sdk.binding.providers.errors import RunFailed, SessionClosed
 
 CAN_CONFINE: Final = hasattr(socket, "send_fds")
 """Whether this system can run models in a confined child process; Windows cannot."""
@@ -68,6 +69,10 @@ class ConfinedModels:
             with suppress(ModelUnreadable):  # reported where the model is opened
                 files.append(open_model(path))
         self._shared_child = _Child(files, limits, has_gpu=has_gpu) if files else None
+        if self._shared_child is not None:
+            self._children.append(self._shared_child)
+        # Sessions refer to this object: without it and without sessions, the processes end.
+        weakref.finalize(self, _end_all, self._children)
 
     def open(self, file: ModelFile, request: Message) -> "Channel":
         """Return a channel to a session that opens a model; :meth:`Channel.ask` for its facts."""
@@ -78,22 +83,25 @@ class ConfinedModels:
             ):
                 return self._shared_child.channel(file, request)
             child = _Child([file], self.limits, has_gpu=needs_gpu)
-            self._children.append(child)
+            self._children[:] = [*(other for other in self._children if other.is_running), child]
         return child.channel(file, request, is_last=True)
 
     def close(self) -> None:
         """End all processes; a second call has no effect."""
         with self._lock:
-            children, self._children = self._children, []
-            for child in (self._shared_child, *children):
-                if child is not None:
-                    child.end()
+            _end_all(self._children)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _end_all(children: "list[_Child]") -> None:
+    while children:
+        hint = "Close ConfinedModels after its sessions."
+        children.pop().end(SessionClosed("the process that runs the model was closed", hint=hint))
 
 
 @final
@@ -135,11 +143,17 @@ class _Child:
         with suppress(OSError):  # it has ended, which the first session reports
             send(self._control_socket, job)
 
+    @property
+    def is_running(self) -> bool:
+        """Whether the process has not ended."""
+        return self._process.poll() is None
+
     def may_open(self, file: ModelFile, *, needs_gpu: bool) -> bool:
         """Return whether the process may read a model's files, and still runs."""
         is_allowed = self._has_gpu or not needs_gpu
-        is_running = self._process.poll() is None
-        return is_running and is_allowed and self._readable_files.issuperset(loaded_files(file))
+        return (
+            self.is_running and is_allowed and self._readable_files.issuperset(loaded_files(file))
+        )
 
     def channel(self, file: ModelFile, request: Message, *, is_last: bool = False) -> "Channel":
         """Begin to open a model; ``is_last`` ends the process with this session."""
@@ -261,9 +275,9 @@ class Channel:
             HostProcessFailed: The machine ended the process.
             GsgenError: The session cannot be opened.
         """
-        self._socket.settimeout(self._child.limits.seconds)
         self._is_pending = True
         try:
+            self._socket.settimeout(self._child.limits.seconds)
             if message is not None:
                 send(self._socket, message)
             reply, _ = receive(self._socket)
