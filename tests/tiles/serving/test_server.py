@@ -173,6 +173,7 @@ def test_ranges_and_etags(server: TileServer) -> None:
         ("[::1]:80", 200),
         ("192.168.1.5:8000", 200),
         (socket.gethostname(), 200),
+        (f"{socket.gethostname()}.local", 200),
         ("a.localhost", 200),
         ("evil.example", 421),
         ("evil.example:8000", 421),
@@ -239,10 +240,10 @@ def test_headers_that_drip_end_in_time(folder: Path, monkeypatch: pytest.MonkeyP
         assert time.monotonic() - start < 2
 
 
-def test_a_thousand_half_open_connections_keep_nobody_out(server: TileServer) -> None:
+def test_four_hundred_half_open_connections_keep_nobody_out(server: TileServer) -> None:
     """Those that wait longest make room, and threads stay within their number."""
     waiting = []
-    for _ in range(1000):
+    for _ in range(400):
         connection = socket.create_connection(server.server_address[:2], timeout=10)
         connection.sendall(b"GET /t/a.glb HTT")
         waiting.append(connection)

@@ -57,7 +57,8 @@ class LocalServer(ThreadingHTTPServer):
         self, host: str, port: int, handler: "type[LocalHandler]", *, cors: Collection[str] = ()
     ) -> None:
         self.cors = frozenset(cors)
-        self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+        own_name = socket.gethostname().lower()
+        self._names = {"localhost", host.lower(), own_name, f"{own_name}.local"}
         self._lock = Lock()
         self._waiting_sockets: dict[socket.socket, None] = {}  # for a request; the longest first
         self._answering_sockets: set[socket.socket] = set()
@@ -193,7 +194,8 @@ class LocalHandler(BaseHTTPRequestHandler, ABC):
             self.send_error(HTTPStatus.BAD_REQUEST, "a request needs one Host header")
             return False
         if not all(map(self.server.is_own_host, hosts)):
-            self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "this server has another name")
+            hint = "Ask for localhost, this machine's name or its numeric address."
+            self.send_error(HTTPStatus.MISDIRECTED_REQUEST, explain=hint)
             return False
         if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
             self.close_connection = True  # the body stays unread
