@@ -1,5 +1,7 @@
 """Every command that takes a model refuses one whose weights lie outside of its folder."""
 
+import os
+
 import pytest
 
 from gsgen.formats import write_ply
@@ -48,3 +50,12 @@ def test_a_conversion_of_weights_without_end_is_refused_at_once(tmp_path, name):
     assert ran.seconds < 10
     assert ran.peak_bytes < 300e6
     assert not (tmp_path / "half.onnx").exists()
+
+
+@pytest.mark.parametrize("name", ["a.json", "tileset.json", "a.3tz", "a.onnx", "a.ply", "a.glb"])
+def test_a_pipe_in_place_of_a_scene_is_refused_without_waiting(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    ran = gsgen_here("render", tmp_path / name, "-o", tmp_path / "a.png")
+    assert ran.code in (2, 4)
+    assert name in ran.err
+    assert len(ran.err.strip().splitlines()) <= 4

@@ -2,7 +2,9 @@
 
 __all__ = ["RECOGNITION_BYTES", "archive_kind", "kind_of", "kind_of_file"]
 
+import errno
 import os
+import stat
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -36,6 +38,9 @@ def kind_of_file(path: str | os.PathLike[str]) -> FileKind | None:
     Raises:
         OSError: The file cannot be read.
     """
+    mode = os.stat(path).st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a pipe waits for its writer
+        raise OSError(errno.EINVAL, "the path is a device, pipe or socket", os.fspath(path))
     with open(path, "rb") as file:
         head = file.read(RECOGNITION_BYTES)
         return kind_of(head, file)

@@ -7,6 +7,7 @@ local header), sorted by the digest as two little-endian 64-bit numbers.
 
 __all__ = ["INDEX_NAME", "ZipStore", "index_record", "index_sort_key", "write_archive"]
 
+import errno
 import hashlib
 import struct
 import zipfile
@@ -49,7 +50,7 @@ class ZipStore(Store):
         self.name = name or str(archive)
         self._lock = Lock()
         try:
-            self._file = archive if isinstance(archive, RangedFile) else archive.open("rb")
+            self._file = archive if isinstance(archive, RangedFile) else _opened(archive)
         except OSError as error:
             raise StoreUnavailable(
                 f"the archive cannot be read: {error.strerror}",
@@ -173,6 +174,12 @@ class ZipStore(Store):
     def close(self) -> None:
         """Close the .3tz archive."""
         self._file.close()
+
+
+def _opened(archive: Path) -> BinaryIO:
+    if archive.exists() and not archive.is_file():  # opening a pipe waits for its writer
+        raise OSError(errno.EINVAL, "the path is a folder, device, pipe or socket")
+    return archive.open("rb")
 
 
 def write_archive(folder: Path, archive: Path) -> int:
