@@ -148,12 +148,13 @@ def main() -> int:
     """Run the named parts, all by default; print their figures, and return 1 if a bar is missed."""
     missed = 0
     for name in sys.argv[1:] or PARTS:
+        count = 0
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-            faults = list(PARTS[name](Path(folder)))
-        for where, fault in faults:
-            print_line(f"  {where}: {fault}")
-        print_line(f"{name}: {len(faults)} faults (bar 0)")
-        missed += len(faults)
+            for where, fault in PARTS[name](Path(folder)):
+                print_line(f"  {where}: {fault}")
+                count += 1
+        print_line(f"{name}: {count} faults (bar 0)")
+        missed += count
     return int(missed > 0)
 
 
