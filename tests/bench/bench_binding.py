@@ -15,7 +15,7 @@ import onnxruntime
 import pytest
 
 from gsgen.sdk.binding import FrameSession
-from gsgen.sdk.binding.bound_session import BoundSession
+from gsgen.sdk.binding.bound.bound_session import BoundSession
 from support.measures import print_figure
 from support.models.decoder import write_decoder
 from support.models.small_models import good_rows, save_moving

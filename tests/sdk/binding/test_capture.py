@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.builders.moving import drifting_model
-from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, RunFailed, warm_up
+from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, RunFailed
+from gsgen.sdk.binding.bound import warm_up
 
 
 def moves(session: FrameSession) -> None:

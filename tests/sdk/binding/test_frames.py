@@ -14,8 +14,8 @@ from gsgen.conformance.fixtures.builders.moving import camera_dependent_model, d
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.sdk.binding import FrameExpired, FrameSession, RunFailed
-from gsgen.sdk.binding.bound_session import BoundSession
-from gsgen.sdk.binding.buffers import DeviceBuffer
+from gsgen.sdk.binding.bound.bound_session import BoundSession
+from gsgen.sdk.binding.providers.buffers import DeviceBuffer
 from support.models.small_models import good_rows, moving, save, save_moving
 from support.passes import parsed
 

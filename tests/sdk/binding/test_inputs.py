@@ -13,8 +13,8 @@ from gsgen.contract.spec.geometry import perspective
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
+from gsgen.sdk.binding.bound.input_binding import InputBinding, default_tensor
 from gsgen.sdk.binding.camera_inputs import camera_values, pinhole_projection
-from gsgen.sdk.binding.input_binding import InputBinding, default_tensor
 from support.models.small_models import HEAD, good_rows, moving, save
 
 DECLARED_INPUTS = (

@@ -6,8 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gsgen.sdk.binding import RunFailed, bound_session
-from gsgen.sdk.binding.bound_session import _check_output_sizes
+from gsgen.sdk.binding import RunFailed
+from gsgen.sdk.binding.bound import bound_session
+from gsgen.sdk.binding.bound.bound_session import _check_output_sizes
 
 SPEC = cast(Any, SimpleNamespace(name="gaussians", dtype=np.dtype(np.float32)))
 

@@ -8,7 +8,8 @@ import onnxruntime
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, ProviderUnavailable, warm_up
+from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, ProviderUnavailable
+from gsgen.sdk.binding.bound import warm_up
 from gsgen.sdk.binding.providers import selection, webgpu
 from gsgen.sdk.binding.providers.node_placement import error_text
 from gsgen.sdk.binding.providers.selection import (

@@ -18,9 +18,9 @@ from gsgen.runtime.sources.source import named
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding import FrameSession
-    from gsgen.sdk.binding.bound_session import TensorSpec
+    from gsgen.sdk.binding.bound.bound_session import TensorSpec
+    from gsgen.sdk.binding.bound.model_facts import ModelFacts
     from gsgen.sdk.binding.confined.models import ConfinedModels
-    from gsgen.sdk.binding.model_facts import ModelFacts
 
 _TILE_OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
 
@@ -59,7 +59,7 @@ class PostProcessor:
         self.name = str(path)
         self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
         self._confined = confined
-        from gsgen.sdk.binding.model_facts import read_model_facts
+        from gsgen.sdk.binding.bound.model_facts import read_model_facts
 
         facts = read_model_facts(path, None)
         self.manifest = _post_process(self.name, facts)
@@ -207,7 +207,7 @@ def _post_process(name: str, facts: "ModelFacts") -> PostProcessManifest:
 
 def _tensor_specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
     """Yield each input of a model's graph with its dimensions."""
-    from gsgen.sdk.binding.bound_session import TensorSpec
+    from gsgen.sdk.binding.bound.bound_session import TensorSpec
 
     for value in facts.file.proto.graph.input:
         tensor = value.type.tensor_type

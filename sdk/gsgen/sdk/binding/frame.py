@@ -12,7 +12,7 @@ import numpy as np
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.layout import DecodedGaussians, decode
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs, Manifest
-from gsgen.sdk.binding.buffers import Buffer
+from gsgen.sdk.binding.providers.buffers import Buffer
 
 
 class FrameSource(Protocol):

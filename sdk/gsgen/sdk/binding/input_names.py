@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding.input_binding import InputBinding
+from gsgen.sdk.binding.bound.input_binding import InputBinding
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
 

@@ -17,13 +17,14 @@ import numpy as np
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.manifest import Manifest
-from gsgen.sdk.binding.bound_session import BoundSession, translate_error
-from gsgen.sdk.binding.buffers import Buffer
+from gsgen.sdk.binding.bound.bound_session import BoundSession, translate_error
+from gsgen.sdk.binding.bound.input_binding import InputBinding
+from gsgen.sdk.binding.bound.model_facts import read_model_facts
+from gsgen.sdk.binding.bound.warm_up import WarmSession, lock_of, open_warm
 from gsgen.sdk.binding.camera_inputs import Camera, camera_values
 from gsgen.sdk.binding.frame import Frame
-from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.input_names import InputNames
-from gsgen.sdk.binding.model_facts import read_model_facts
+from gsgen.sdk.binding.providers.buffers import Buffer
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import (
     CaptureOff,
@@ -34,7 +35,6 @@ from gsgen.sdk.binding.providers.errors import (
 )
 from gsgen.sdk.binding.providers.node_placement import CPU, Node
 from gsgen.sdk.binding.providers.selection import Provider
-from gsgen.sdk.binding.warm_up import WarmSession, lock_of, open_warm
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels

@@ -11,7 +11,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.tolerances import effective_tolerances
-from gsgen.sdk.binding.replay_check import (
+from gsgen.sdk.binding.bound.replay_check import (
     ReplayMismatch,
     arrays_agree,
     largest_difference,

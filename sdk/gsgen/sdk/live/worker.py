@@ -24,7 +24,7 @@ from gsgen.contract.probing.sandbox_worker import (
     run_worker,
 )
 from gsgen.contract.process.limits import DRIVER_BYTES, limit_memory
-from gsgen.sdk.binding.bound_session import BoundSession
+from gsgen.sdk.binding.bound.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
 from gsgen.sdk.binding.providers.selection import (

@@ -174,7 +174,7 @@ def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path
     """
     if not sizes:
         return {}
-    from gsgen.sdk.binding.model_facts import read_model_facts
+    from gsgen.sdk.binding.bound.model_facts import read_model_facts
 
     models = [path for path in paths if path.suffix.lower() == ".onnx"]
     opened = {

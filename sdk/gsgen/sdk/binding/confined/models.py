@@ -19,7 +19,7 @@ from gsgen.contract.model.model_file import ModelFile, open_model
 from gsgen.contract.process.child_status import death_of
 from gsgen.contract.process.limits import FRAME_SECONDS, Limits, inherited_memory_limit
 from gsgen.contract.process.parent_watchdog import child_environment, python_command
-from gsgen.sdk.binding.bound_session import host_bytes
+from gsgen.sdk.binding.bound.bound_session import host_bytes
 from gsgen.sdk.binding.confined.messages import Message, error_of, receive, send
 from gsgen.sdk.binding.confined.shared_arrays import SharedMemory, create_memory_file
 from gsgen.sdk.binding.providers.errors import RunFailed, SessionClosed

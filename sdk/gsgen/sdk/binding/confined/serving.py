@@ -19,13 +19,13 @@ from gsgen.contract.process.limits import (
     limit_processor_time,
 )
 from gsgen.contract.spec.manifest_io import loads
-from gsgen.sdk.binding.bound_session import translate_error
+from gsgen.sdk.binding.bound.bound_session import translate_error
+from gsgen.sdk.binding.bound.model_facts import read_model_facts
+from gsgen.sdk.binding.bound.warm_up import WarmSession, lock_of, open_warm
 from gsgen.sdk.binding.confined.messages import Message, message_of, receive, send
 from gsgen.sdk.binding.confined.shared_arrays import SharedArraySlot, SharedMemory
-from gsgen.sdk.binding.model_facts import read_model_facts
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed
-from gsgen.sdk.binding.warm_up import WarmSession, lock_of, open_warm
 
 
 def serve_sessions(control: socket.socket, job: Message) -> None:

@@ -9,12 +9,12 @@ from typing import Any, cast, final
 import numpy as np
 
 from gsgen.contract.spec.manifest_io import dumps
-from gsgen.sdk.binding.bound_session import TensorSpec
-from gsgen.sdk.binding.buffers import Buffer, read_only, same_bits
+from gsgen.sdk.binding.bound.bound_session import TensorSpec
+from gsgen.sdk.binding.bound.model_facts import ModelFacts
 from gsgen.sdk.binding.confined.messages import Message
 from gsgen.sdk.binding.confined.models import Channel, ConfinedModels
 from gsgen.sdk.binding.confined.shared_arrays import SharedArraySlot
-from gsgen.sdk.binding.model_facts import ModelFacts
+from gsgen.sdk.binding.providers.buffers import Buffer, read_only, same_bits
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed
 from gsgen.sdk.binding.providers.node_placement import Node

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from gsgen.contract.errors import HostProcessFailed
-from gsgen.sdk.binding.buffers import HostMemory
+from gsgen.sdk.binding.providers.buffers import HostMemory
 from gsgen.sdk.binding.providers.errors import RunFailed
 
 _ALIGNMENT: Final = 4096  # bytes; a page, which is more than any kernel needs

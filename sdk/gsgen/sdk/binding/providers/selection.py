@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.files_beside import require_loadable
 from gsgen.contract.probing.sandbox_worker import model_source
-from gsgen.sdk.binding.buffers import HostMemory
+from gsgen.sdk.binding.providers.buffers import HostMemory
 from gsgen.sdk.binding.providers.cancellation import FATAL_LOG_LEVEL, Stop
 from gsgen.sdk.binding.providers.errors import ProviderFallback, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import CPU, error_text

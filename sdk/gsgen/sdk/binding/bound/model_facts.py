@@ -16,9 +16,9 @@ from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
-from gsgen.sdk.binding.bound_session import TensorSpec
-from gsgen.sdk.binding.input_binding import InputBinding
-from gsgen.sdk.binding.replay_check import output_origin
+from gsgen.sdk.binding.bound.bound_session import TensorSpec
+from gsgen.sdk.binding.bound.input_binding import InputBinding
+from gsgen.sdk.binding.bound.replay_check import output_origin
 
 # Two of this many probes are used; they differ even if time loops.
 _PROBE_COUNT, _PROBE_INDICES = 4, (1, 3)

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW
-from gsgen.sdk.binding.bound_session import BoundSession, tensor_specs, translate_error
-from gsgen.sdk.binding.buffers import HostMemory
-from gsgen.sdk.binding.input_binding import InputBinding
-from gsgen.sdk.binding.model_facts import ModelFacts, Tensors
+from gsgen.sdk.binding.bound.bound_session import BoundSession, tensor_specs, translate_error
+from gsgen.sdk.binding.bound.input_binding import InputBinding
+from gsgen.sdk.binding.bound.model_facts import ModelFacts, Tensors
+from gsgen.sdk.binding.bound.replay_check import Outputs, wrong_outputs
+from gsgen.sdk.binding.providers.buffers import HostMemory
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
 from gsgen.sdk.binding.providers.selection import (
@@ -28,7 +29,6 @@ from gsgen.sdk.binding.providers.selection import (
     choose_provider,
     open_session,
 )
-from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 # All WebGPU sessions of a process share one device, which does not support several threads.
 _WEBGPU_LOCK = threading.RLock()

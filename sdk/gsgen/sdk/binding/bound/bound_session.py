@@ -14,7 +14,7 @@ import numpy as np
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.model.load_failures import explain_load_failure
-from gsgen.sdk.binding.buffers import Buffer, HostMemory, make_buffer
+from gsgen.sdk.binding.providers.buffers import Buffer, HostMemory, make_buffer
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SizeUnknown
 
