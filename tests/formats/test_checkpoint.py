@@ -280,3 +280,39 @@ def test_reading_a_checkpoint_needs_no_torch(tmp_path):
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert completed.stdout == "6\n"
+
+
+WRAPPERS = {
+    "bare state_dict": lambda tensors: tensors,
+    "DDP names": lambda tensors: {"splats": {f"module.{k}": v for k, v in tensors.items()}},
+    "bare DDP names": lambda tensors: {f"module.{k}": v for k, v in tensors.items()},
+    "names below splats": lambda tensors: {f"splats.{k}": v for k, v in tensors.items()},
+    "state_dict of a trainer": lambda tensors: {"epoch": 3, "state_dict": tensors},
+    "model of a trainer": lambda tensors: {"model": {f"module.{k}": v for k, v in tensors.items()}},
+}
+NERF_WRAPPERS = {
+    "DDP pipeline": lambda tensors: {
+        "pipeline": {f"_model.module.gauss_params.{k}": v for k, v in tensors.items()}
+    },
+    "bare model": lambda tensors: {f"gauss_params.{k}": v for k, v in tensors.items()},
+    "bare pipeline": lambda tensors: {f"_model.gauss_params.{k}": v for k, v in tensors.items()},
+}
+
+
+@pytest.mark.parametrize("wrapper", [*WRAPPERS, *NERF_WRAPPERS])
+def test_wrapped_and_bare_state_dicts_are_read(tmp_path: Path, wrapper: str) -> None:
+    splats = scene(12, 1)
+    arrays = {
+        "means": splats.position,
+        "quats": splats.rotation,
+        "scales": splats.log_scale,
+        "opacities": splats.logit_opacity,
+    }
+    names = ("features_dc", "features_rest") if wrapper in NERF_WRAPPERS else ("sh0", "shN")
+    arrays |= {names[0]: splats.sh[:, :1], names[1]: splats.sh[:, 1:]}
+    tensors = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
+    content = (WRAPPERS | NERF_WRAPPERS)[wrapper](tensors)
+    (tmp_path / "a.pt").write_bytes(torch_saved(content))
+    restored = read_checkpoint(tmp_path / "a.pt")
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(restored, name), getattr(splats, name))

@@ -19,6 +19,7 @@ from gsgen.formats import (
     write_ply,
     write_splat,
 )
+from gsgen.formats.editing.transforms import translated
 from gsgen.formats.shared.splats import DEFAULT_UP
 from gsgen.formats.shared.suspicions import suspicions
 from gsgen.tiles.build.frame import turned_transform, upright_transform
@@ -323,6 +324,7 @@ def test_half_floats_as_integers_are_refused(tmp_path: Path) -> None:
         ("up-axis-nerfstudio/n1_vertical_axis_z.ply", 240, ""),
         ("zero-rows/z1_zero_rows.ply", 240, "300 rows have an all-zero quaternion"),
         ("zip-of-a-ply/q1_luma_download.zip", None, ""),
+        ("double-coordinates/e1_utm_double.ply", 240, "off by up to 0.249 units"),
     ],
 )
 def test_files_of_other_programs_are_read(name: str, count: int | None, note: str) -> None:
@@ -330,3 +332,68 @@ def test_files_of_other_programs_are_read(name: str, count: int | None, note: st
     assert count in (None, len(splats))
     assert note in " ".join(notes)
     assert bool(notes) == bool(note)
+
+
+def far_ply(path: Path, encoding: str, center: tuple[float, ...], kind: str = "double") -> Path:
+    """A PLY of 60 splats around a far point, whose coordinates are doubles."""
+    splats = scene(60, 0)
+    position = np.asarray(center) + splats.position.astype(np.float64)
+    names = [*(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
+    names += [f"rot_{i}" for i in range(4)]
+    columns = [splats.sh[:, 0], splats.logit_opacity[:, None], splats.log_scale, splats.rotation]
+    others = np.concatenate(columns, axis=1)
+    lines = [f"property {kind} {axis}" for axis in "xyz"] + [f"property float {n}" for n in names]
+    header = "\n".join(
+        ["ply", f"format {encoding} 1.0", "element vertex 60", *lines, "end_header\n"]
+    )
+    if encoding == "ascii":
+        table = np.concatenate([position, others], axis=1)
+        body = "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in table).encode()
+    else:
+        order = ">" if "big" in encoding else "<"
+        rows = np.empty(60, [("p", order + "f8", 3), ("o", order + "f4", len(names))])
+        rows["p"], rows["o"] = position, others
+        body = rows.tobytes()
+    path.write_bytes(header.encode() + body)
+    return path
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(
+    "center", [(448262.5, 5411932.25, 80.0), (-4.2e6, 0, 17), (0, 0, 20000.5), (1e8, -1e8, 0)]
+)
+def test_far_double_coordinates_keep_their_width(tmp_path, encoding, center) -> None:
+    splats, notes = notes_of(far_ply(tmp_path / "a.ply", encoding, center))
+    expected = np.asarray(center) + scene(60, 0).position.astype(np.float64)
+    restored = splats.position + np.asarray(splats.origin)
+    np.testing.assert_allclose(restored, expected, atol=1e-4, rtol=0)
+    assert "positions are relative to" in notes[0]
+    with pytest.warns(FormatWarning, match="relative to"):
+        result = convert(tmp_path / "a.ply", tmp_path / "b.spz", codec_named("spz"))
+    assert "the origin" in " ".join(result.lost)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_near_double_coordinates_have_no_origin(tmp_path: Path, encoding: str) -> None:
+    splats, notes = notes_of(far_ply(tmp_path / "a.ply", encoding, (3.0, -20.0, 0.5)))
+    assert (splats.origin, notes) == ((0, 0, 0), [])
+
+
+def test_far_files_are_merged_and_moved_in_doubles(tmp_path: Path) -> None:
+    files = [
+        far_ply(
+            tmp_path / f"{index}.ply", "binary_little_endian", (448000.0 + 2000 * index, 5e6, 0)
+        )
+        for index in range(2)
+    ]
+    with pytest.warns(FormatWarning, match="relative to"):
+        convert(
+            files,
+            tmp_path / "b.ply",
+            codec_named("ply"),
+            edits=[lambda splats: translated(splats, (-448000.0, -5e6, 0))],
+        )
+    merged = open_splats(tmp_path / "b.ply")
+    near = scene(60, 0).position
+    np.testing.assert_allclose(merged.position[:60], near, atol=1e-3)
+    np.testing.assert_allclose(merged.position[60:], near + np.float32([2000, 0, 0]), atol=1e-3)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -207,7 +207,18 @@ def merge_splats(parts: Sequence[Splats]) -> Splats:
                 expected="the same for all",
                 hint="such splats cannot be drawn right in one file",
             )
-    return join_splats(parts)
+    first_origin = np.asarray(parts[0].origin)
+    return join_splats(
+        [
+            part
+            if part.origin == parts[0].origin
+            else replace(
+                part,
+                position=(part.position + (np.asarray(part.origin) - first_origin)).astype("f4"),
+            )
+            for part in parts
+        ]
+    )
 
 
 def _total_bytes(paths: Sequence[FilePath]) -> int:
@@ -257,6 +268,9 @@ def _lost_features(
     if source.up != DEFAULT_UP and "up" not in codec.keeps_flags:
         direction = ", ".join(f"{value:g}" for value in source.up)
         lost_feature_names.append(f"the upward direction ({direction})")
+    if isinstance(source, Splats) and any(source.origin):
+        numbers = ", ".join(f"{value:.0f}" for value in source.origin)
+        lost_feature_names.append(f"the origin ({numbers}), which positions are relative to")
     if codec.order:
         lost_feature_names.append("the order of the splats")
     return tuple(lost_feature_names)

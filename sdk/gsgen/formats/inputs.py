@@ -79,6 +79,8 @@ class TrainingFolder:
 def training_folder(path: FilePath) -> TrainingFolder | None:
     """Return the newest iteration in a folder of 3DGS training; None if the path names no such."""
     folder = Path(path)
+    if not folder.is_dir():
+        return None
     match = _newest(_file_names(folder))
     if match is None or not match[0].endswith("/point_cloud.ply"):
         return None

@@ -119,6 +119,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
         description=f"{len(splats):,} splats of SH degree {splats.degree}",
         color_space=splats.color_space,
         up=up,
+        origin=splats.origin if any(splats.origin) else None,
         antialias="mip" if splats.antialiased else "classic",
         notes=tuple(filter(None, (*notes, note, up_note))),
     )

@@ -275,6 +275,8 @@ class StillFrameSource(StaticSource):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
             self.up = content.up
+            if any(content.origin):
+                self.space = Space(origin=content.origin)
         for warning in caught:
             if issubclass(warning.category, MeshWarning):
                 self.meshes = read_mesh(path)  # drawn among the splats

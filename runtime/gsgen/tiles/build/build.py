@@ -21,7 +21,7 @@ from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
-from gsgen.tiles.build.frame import turned_transform
+from gsgen.tiles.build.frame import moved_transform, turned_transform
 from gsgen.tiles.build.neural_tiles import Generator
 from gsgen.tiles.build.octree import load_built
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
@@ -150,6 +150,9 @@ def build_tileset(
     if parameters.turn_upright:
         turned = turned_transform(parameters.transform, files[0].up)
         parameters = replace(parameters, transform=turned, turn_upright=False)
+    if any(files[0].origin):
+        moved = moved_transform(parameters.transform, files[0].origin)
+        parameters = replace(parameters, transform=moved)
     output = output.resolve()
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)

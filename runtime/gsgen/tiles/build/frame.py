@@ -47,6 +47,15 @@ def turned_transform(
     return _columns(np.array(transform).reshape(4, 4).T @ turn)
 
 
+def moved_transform(
+    transform: tuple[float, ...], origin: tuple[float, float, float]
+) -> tuple[float, ...]:
+    """Return a transform of a scene as one for positions relative to an origin, column-major."""
+    matrix = np.array(transform).reshape(4, 4).T
+    matrix[:3, 3] += matrix[:3, :3] @ origin
+    return _columns(matrix)
+
+
 def globe_transform(longitude: float, latitude: float, height: float) -> tuple[float, ...]:
     """Return the transform that puts the scene's origin on the globe, upright, x to the east.
 

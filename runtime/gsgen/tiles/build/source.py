@@ -27,7 +27,7 @@ from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import naming
 from gsgen.formats.shared.notices import warn_unused
-from gsgen.formats.shared.splats import DEFAULT_UP, SH_COUNTS
+from gsgen.formats.shared.splats import DEFAULT_UP, NO_ORIGIN, SH_COUNTS
 from gsgen.formats.shared.suspicions import SAMPLED_ROWS, warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.loading.leaves import open_splats
@@ -54,6 +54,7 @@ class SceneFile:
         antialiased: Whether the splats are trained with the filter of Mip-Splatting.
         color_space: Of their colours.
         up: The declared upward direction.
+        origin: The point that positions are relative to.
     """
 
     path: str
@@ -65,6 +66,7 @@ class SceneFile:
     antialiased: bool = False
     color_space: Literal["srgb", "linear"] = "srgb"
     up: tuple[float, float, float] = DEFAULT_UP
+    origin: tuple[float, float, float] = NO_ORIGIN
 
 
 @final
@@ -97,7 +99,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
     files = [_open_scene_file(path) for path in paths]
     first = files[0]
     for file in files:
-        for name in ("color_space", "antialiased", "up"):
+        for name in ("color_space", "antialiased", "up", "origin"):
             actual, expected = getattr(file, name), getattr(first, name)
             if actual != expected:
                 raise ConfigInvalid(
@@ -165,6 +167,7 @@ def _decoded(path: Path, size: int, modified: int) -> SceneFile:
         antialiased=splats.antialiased,
         color_space=splats.color_space,
         up=splats.up,
+        origin=splats.origin,
     )
 
 

@@ -91,7 +91,7 @@ def read_checkpoint(path: FilePath, *, drop_invalid: bool = False) -> Splats:
 
 def _layout_of(archive: TorchArchive, path: Path) -> _CheckpointLayout:
     """Find the splat tensors in a checkpoint of gsplat, nerfstudio or 3DGS; raise for others."""
-    content = archive.data()
+    content = _unwrapped(archive.data())
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
         return _gsplat_layout(content, path)
     if isinstance(content, dict) and isinstance(content.get("pipeline"), dict):
@@ -99,6 +99,43 @@ def _layout_of(archive: TorchArchive, path: Path) -> _CheckpointLayout:
     if isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple):
         return _capture_layout(content[0])
     raise unsupported_content_error(content, is_script=archive.is_script)
+
+
+def _unwrapped(content: Any) -> Any:
+    """Return the dict of a checkpoint as trainers save it, from one of a bare model.
+
+    ``state_dict()`` saves the tensors without the trainer's keys, and DistributedDataParallel
+    puts ``module.`` into names.
+    """
+    if not isinstance(content, dict):
+        return content
+    for key in ("splats", "pipeline"):
+        if isinstance(content.get(key), dict):
+            return {**content, key: _without_wrappers(content[key])}
+    names = _without_wrappers(content)
+    if {"means", "quats", "scales"} <= names.keys():
+        return {"splats": names}
+    for prefix in ("gauss_params.", "_model.gauss_params.", "splats."):
+        tensors = {
+            name.removeprefix(prefix): value
+            for name, value in names.items()
+            if isinstance(name, str) and name.startswith(prefix)
+        }
+        if tensors and prefix == "splats.":
+            return {"splats": tensors}
+        if tensors:
+            return {"pipeline": {f"_model.gauss_params.{k}": v for k, v in tensors.items()}}
+    inner = [names.get(key) for key in ("state_dict", "model_state_dict", "model")]
+    states = [state for state in inner if isinstance(state, dict)]
+    return _unwrapped(states[0]) if states else content
+
+
+def _without_wrappers(tensors: dict[Any, Any]) -> dict[Any, Any]:
+    """Return a state dict without the part ``module`` in its names."""
+    return {
+        re.sub(r"(^|\.)module\.", r"\1", name) if isinstance(name, str) else name: value
+        for name, value in tensors.items()
+    }
 
 
 def _gsplat_layout(content: dict[Any, Any], path: Path) -> _CheckpointLayout:

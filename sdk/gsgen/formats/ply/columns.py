@@ -1,10 +1,10 @@
 """Reads named properties of a PLY file into NumPy arrays."""
 
 import mmap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from gsgen.formats.ply.ascii import ascii_rows
 from gsgen.formats.ply.binary import binary_rows, first_row
@@ -16,19 +16,27 @@ CHUNK_ROWS = 1 << 10
 
 
 def read_columns(
-    data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
-) -> dict[str, Float32[np.ndarray, "n m"]]:
+    data: mmap.mmap,
+    header: Header,
+    vertex: Element,
+    groups: Mapping[str, Sequence[str]],
+    wide_groups: Collection[str] = (),
+) -> dict[str, Float[np.ndarray, "n m"]]:
     """Return one array for each group of PLY properties, one column per property.
 
     The memory is that of these arrays and one chunk of rows: the length of the file is checked
-    before an array is allocated.
+    before an array is allocated. Arrays are float32, those of ``wide_groups`` float64 where the
+    file has text or doubles.
     """
     if header.encoding == "binary_little_endian" and set(vertex.types.values()) == {"f4"}:
         return _floats(data, header, vertex, groups)
     read = ascii_rows if header.encoding == "ascii" else binary_rows
     chunks = read(data, header, vertex)
     tables = {
-        group: np.empty((vertex.count, len(names)), np.float32) for group, names in groups.items()
+        group: np.empty(
+            (vertex.count, len(names)), np.float64 if group in wide_groups else np.float32
+        )
+        for group, names in groups.items()
     }
     start = 0
     # A double beyond float32 becomes infinite, which the checks of values refuse.

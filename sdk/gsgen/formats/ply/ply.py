@@ -21,7 +21,7 @@ from gsgen.formats.ply.layout import (
 from gsgen.formats.ply.methods import FILTER_PROPERTY, require_still_splats, with_smoothing_filter
 from gsgen.formats.ply.packed import is_packed, read_packed
 from gsgen.formats.ply.unused import unused_parts
-from gsgen.formats.ply.values import VERTEX, only_finite, require_cloud, splat_labels
+from gsgen.formats.ply.values import VERTEX, near_origin, only_finite, require_cloud, splat_labels
 from gsgen.formats.ply.write import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, map_file
@@ -100,7 +100,8 @@ def _read_splats(
         groups |= {FILTER_PROPERTY: (FILTER_PROPERTY,)}
     names = tuple(name for group in groups.values() for name in group)
     require_rows(vertex.count, VERTEX)
-    tables = read_columns(data, header, vertex, groups)
+    tables = read_columns(data, header, vertex, groups, ("position",))
+    position, origin = near_origin(tables["position"], path)
     log_scale, logit_opacity = tables["log_scale"], tables["logit_opacity"].reshape(-1)
     if has_filter:
         log_scale, logit_opacity = with_smoothing_filter(
@@ -110,7 +111,7 @@ def _read_splats(
         tables["sh"][:, :3] = _constant_term(tables["sh"][:, :3], vertex, colors)
     space, used_space = declared_color_space(data, header)
     splats = Splats(
-        position=tables["position"],
+        position=position,
         rotation=tables["rotation"],
         log_scale=log_scale,
         logit_opacity=logit_opacity,
@@ -118,6 +119,7 @@ def _read_splats(
         antialiased=header.antialiased or has_filter,
         color_space=space,
         up=header.up or DEFAULT_UP,
+        origin=origin,
     )
     labels = splat_labels(splats)
     try:
@@ -164,10 +166,11 @@ def _read_cloud(
     colors = cloud_colors(vertex.types)
     require_rows(vertex.count, VERTEX)
     groups = {"position": XYZ, "color": colors}
-    tables = read_columns(data, header, vertex, groups)
+    tables = read_columns(data, header, vertex, groups, ("position",))
+    position, _ = near_origin(tables["position"], path)
     if vertex.types[colors[0]] == "u1":
         tables["color"] /= np.float32(255)
-    cloud = PointCloud(position=tables["position"], color=tables["color"])
+    cloud = PointCloud(position=position, color=tables["color"])
     try:
         if drop_invalid:
             cloud = only_finite(cloud, path)

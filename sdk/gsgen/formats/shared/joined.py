@@ -29,4 +29,5 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
         antialiased=any(part.antialiased for part in parts),
         color_space=parts[0].color_space,
         up=parts[0].up,
+        origin=parts[0].origin,
     )

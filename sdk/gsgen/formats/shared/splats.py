@@ -10,12 +10,14 @@ from jaxtyping import Float, Float32
 from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
 
-__all__ = ["DEFAULT_UP", "SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
+__all__ = ["DEFAULT_UP", "NO_ORIGIN", "SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
 
 SH_COUNTS = (1, 4, 9, 16, 25)
 """SH coefficients per channel for degree 0, 1, 2, 3 and 4."""
 DEFAULT_UP: Final = (0.0, -1.0, 0.0)
 """The upward direction of splats whose file declares none."""
+NO_ORIGIN: Final = (0.0, 0.0, 0.0)
+"""The origin of splats whose positions are those of the file."""
 
 
 @final
@@ -37,6 +39,7 @@ class Splats:
             lowers the opacity of splats that it widens; few formats store this flag.
         color_space: The colour space of the colours; few formats store it.
         up: The upward direction, if the file declares one; else that of 3DGS training, -y.
+        origin: The point of the file's world that positions are relative to.
 
     Raises:
         ValueInvalid: An array has a wrong shape or data type.
@@ -50,6 +53,7 @@ class Splats:
     antialiased: bool = False
     color_space: Literal["srgb", "linear"] = "srgb"
     up: tuple[float, float, float] = DEFAULT_UP
+    origin: tuple[float, float, float] = NO_ORIGIN
 
     def __post_init__(self) -> None:
         _require_array("position", self.position, ("float32",), ("n", 3))

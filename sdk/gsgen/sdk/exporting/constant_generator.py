@@ -75,6 +75,8 @@ class ConstantRows:
     # the antialiasing that the scene was trained with
     antialias: Literal["classic", "mip"] = "classic"
     up: Axis = "-y"  # the upward axis of the scene
+    # the point of the author's world that positions are relative to
+    origin: tuple[float, float, float] | None = None
     notes: tuple[str, ...] = ()  # changes that the user should know of, a sentence each
     # whether the rows are the user's own, written even if they break rules
     passes_through: bool = False
@@ -169,7 +171,7 @@ def constant_manifest(
             ),
             CountOutput("num_points"),
         ),
-        space=Space(up=packed.up),
+        space=Space(up=packed.up, origin=packed.origin),
         bounds=Bounds.from_points(packed.rows[:, layout.POSITION], _BOUNDS_MARGIN),
         antialias=packed.antialias,
         tolerances=Tolerances(),
