@@ -13,7 +13,6 @@ import os
 import posixpath
 import warnings
 from collections.abc import Iterator
-from typing import Final
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,7 +20,7 @@ from jaxtyping import Float64
 from gsgen.formats import open_splats as open_splat_file
 from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, PackedRows, PointCloud, Splats
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
@@ -33,8 +32,6 @@ from gsgen.tiles.loading.downloads import names_one_file, read_download
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
-
-_MAX_FLOAT32_OFFSET: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
 
 
 def read_tile_content(
@@ -130,7 +127,7 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedR
         )
     middle = np.stack([part.origin for part in parts]).mean(axis=0)
     origin: Float64[np.ndarray, " 3"] = np.zeros(3)
-    if np.abs(middle).max() > _MAX_FLOAT32_OFFSET:
+    if np.abs(middle).max() > MAX_FLOAT32_OFFSET:
         origin = np.round(middle)
         text = f"positions are relative to {origin.tolist()} of the root tile's frame"
         warnings.warn(text, FormatWarning, stacklevel=2)

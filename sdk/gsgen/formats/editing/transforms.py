@@ -2,25 +2,21 @@
 
 import math
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from gsgen.contract.spec.geometry import quaternion_product, rotation_matrix
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.harmonics import rotate_sh
-from gsgen.formats.shared.splats import NO_ORIGIN, Splats
+from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, NO_ORIGIN, Splats
 
 Vector = tuple[float, float, float]
-
-
-_LARGEST_OFFSET: Final = 16384.0  # float32 has steps of a thousandth there
 
 
 def translated(splats: Splats, offset: Vector) -> Splats:
     """Return ``splats`` moved by ``offset``, in scene units."""
     origin = np.asarray(splats.origin, np.float64) + np.asarray(offset, np.float64)
-    if any(splats.origin) and np.abs(origin).max() > _LARGEST_OFFSET:
+    if any(splats.origin) and np.abs(origin).max() > MAX_FLOAT32_OFFSET:
         x, y, z = (float(value) for value in origin)
         return replace(splats, origin=(x, y, z))
     position = splats.position + origin

@@ -12,10 +12,9 @@ from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splat_values import Labels, require_drawable
-from gsgen.formats.shared.splats import NO_ORIGIN, PointCloud, Splats
+from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, NO_ORIGIN, PointCloud, Splats
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
-_MAX_FLOAT32_OFFSET: Final = 16384.0  # beyond it, a step of float32 is more than 1/1000
 _ORIGIN_STEP: Final = 1000.0
 VERTEX: Final = "element 'vertex'"
 """The place of the rows of a PLY file, in messages."""
@@ -81,7 +80,7 @@ def near_origin(
     if position.dtype != np.float64 or not is_finite.any():
         return narrow, NO_ORIGIN
     low, high = position[is_finite].min(axis=0), position[is_finite].max(axis=0)
-    if np.abs([low, high]).max() <= _MAX_FLOAT32_OFFSET:
+    if np.abs([low, high]).max() <= MAX_FLOAT32_OFFSET:
         return narrow, NO_ORIGIN
     origin = np.round((low + high) / 2 / _ORIGIN_STEP) * _ORIGIN_STEP + 0.0  # no -0
     if not origin.any():

@@ -18,6 +18,8 @@ DEFAULT_UP: Final = (0.0, -1.0, 0.0)
 """The upward direction of splats whose file declares none."""
 NO_ORIGIN: Final = (0.0, 0.0, 0.0)
 """The origin of splats whose positions are those of the file."""
+MAX_FLOAT32_OFFSET: Final = 16384.0
+"""The largest coordinate without an origin: beyond it, float32 has steps of over 1/1000."""
 
 
 @final
