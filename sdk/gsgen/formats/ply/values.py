@@ -16,6 +16,7 @@ from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, NO_ORIGIN, PointClou
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
 _ORIGIN_STEP: Final = 1000.0
+_LEAST_LOSS: Final = 1e-4  # of a coordinate, in units
 VERTEX: Final = "element 'vertex'"
 """The place of the rows of a PLY file, in messages."""
 
@@ -83,9 +84,9 @@ def near_origin(
     if np.abs([low, high]).max() <= MAX_FLOAT32_OFFSET:
         return narrow, NO_ORIGIN
     origin = np.round((low + high) / 2 / _ORIGIN_STEP) * _ORIGIN_STEP + 0.0  # no -0
-    if not origin.any():
-        return narrow, NO_ORIGIN
     loss = np.abs(position[is_finite] - narrow[is_finite]).max()
+    if not origin.any() or loss < _LEAST_LOSS:
+        return narrow, NO_ORIGIN
     x, y, z = (float(value) for value in origin)
     text = (
         f"{os.fspath(path)}: positions are relative to ({x:.0f}, {y:.0f}, {z:.0f}): as float32 "
