@@ -13,6 +13,7 @@ import pytest
 from gsgen.formats import (
     ArchiveDamaged,
     FileUnreadable,
+    FormatWarning,
     NotSupported,
     SizeExceeded,
     open_splats,
@@ -210,3 +211,11 @@ def test_content_in_memory_is_named_like_its_archive(tmp_path: Path) -> None:
     file = resolve_input(archive(tmp_path / "a.zip", {"b/c.ply": ply(tmp_path)}))
     assert str(file) == f"{tmp_path}/a.zip/b/c.ply"
     assert isinstance(file.data, mmap.mmap)
+
+
+def test_files_of_other_methods_beside_the_splats_are_named(tmp_path: Path) -> None:
+    folder = training(tmp_path / "run", 7)
+    (folder / "point_cloud/iteration_7/deformation.pth").write_bytes(b"x")
+    (folder / "deform/iteration_7").mkdir(parents=True)
+    with pytest.warns(FormatWarning, match="not used: file deform/, file deformation.pth"):
+        open_splats(folder)

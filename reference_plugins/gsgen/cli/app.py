@@ -96,8 +96,10 @@ def _notes_printed() -> Iterator[None]:
             if not issubclass(category, FileNote):
                 show_other(message, category, filename, lineno, file, line)
             elif str(message) not in printed_texts:
+                from gsgen.cli.output import echo
+
                 printed_texts.add(str(message))
-                print(f"note: {message}", file=sys.stderr)
+                echo(f"note: {message}", err=True)
 
         warnings.showwarning = show
         yield

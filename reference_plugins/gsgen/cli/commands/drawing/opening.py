@@ -1,6 +1,13 @@
 """Opens the scenes and post-process models of a command, and prints their warnings."""
 
-__all__ = ["confined_models", "open_scenes", "read_scene_files", "read_splats", "tileset_opener"]
+__all__ = [
+    "confined_models",
+    "open_scenes",
+    "read_scene_files",
+    "read_splats",
+    "tileset_opener",
+    "training_camera",
+]
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,7 +18,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from gsgen.cli.output import echo, echo_error
-from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
+from gsgen.contract.errors import ConfigInvalid, ExitCode, InputUnreadable, UnknownName
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
 from gsgen.formats.tileset_paths import names_tileset
@@ -132,6 +139,30 @@ def confined_models(
         echo("note: this system cannot confine models: they run without limits", err=True)
         return None
     return ConfinedModels(models, limits, has_gpu=provider != "cpu")
+
+
+def training_camera(scenes: Sequence[Path]) -> str | None:
+    """Return the first camera of the first scene that is the folder of a 3DGS training.
+
+    The value is one of ``--camera``; a note names the camera. None without such a folder.
+    """
+    from gsgen.formats.inputs import training_folder
+    from gsgen.runtime.camera_files import open_cameras
+
+    for scene in scenes:
+        run = training_folder(scene)
+        if run is None or run.cameras is None:
+            continue
+        try:
+            cameras = open_cameras(run.cameras).cameras
+        except ConfigInvalid as error:
+            echo(f"note: not used: {error}", err=True)
+            continue
+        choice = f"{run.cameras}#{cameras[0].name}"
+        text = f"camera {choice}, the first of {len(cameras)}: `--camera {run.cameras}` draws all"
+        echo(f"note: {text}", err=True)
+        return choice
+    return None
 
 
 def tileset_opener(

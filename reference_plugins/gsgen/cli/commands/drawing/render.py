@@ -119,7 +119,7 @@ def render(
     it wrote a picture that lacks tiles.
     """
     from gsgen.cli.commands.drawing.input_files import input_files, refuse_inputs, scene_inputs
-    from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
+    from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files, training_camera
     from gsgen.runtime.media.output_formats import require_output_format
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
@@ -131,6 +131,8 @@ def render(
     require_output_format(output, frames=frames or 1, bits=bit_count)
     files = list(read_scene_files(scenes).values())
     refuse_inputs(output, scene_inputs(files))
+    if camera is None and not (files or orthographic or panorama):
+        camera = training_camera(scenes)
     view = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )

@@ -108,7 +108,7 @@ def view(
 
     Exits 0 once the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
-    from gsgen.cli.commands.drawing.opening import open_scenes
+    from gsgen.cli.commands.drawing.opening import open_scenes, training_camera
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
@@ -119,6 +119,8 @@ def view(
     symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
+    if camera is None and not (files or orthographic or panorama):
+        camera = training_camera(scenes)
     viewpoint = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
