@@ -30,7 +30,7 @@ from docs_parts import (
     viewer_kit,
 )
 
-from gsgen.conformance.fixtures import example_of
+from gsgen.conformance.fixtures import example_model_of_rule
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
@@ -105,7 +105,7 @@ def generated() -> dict[Path, str]:
     """Return the current content of every file that is generated, wholly or in part."""
     registry = rules.ours()
     pages = {
-        DOCS / "rules" / f"{rule.id}.md": page(rule, registry, example_of(rule.id))
+        DOCS / "rules" / f"{rule.id}.md": page(rule, registry, example_model_of_rule(rule.id))
         for rule in registry.rules.values()
     }
     for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):

@@ -167,8 +167,8 @@ def draw(plugin: Plugin, model: Path, folder: Path, log: Path) -> tuple[Path | N
     options = ["--frames", str(count), "--background", BACKGROUND, *camera]
     try:
         pictures = frames(scene, options, folder / "frames", log)
-        if demo.degrade is not None:
-            degraded = [demo.degrade(picture) for picture in pictures]
+        if demo.degrade_image is not None:
+            degraded = [demo.degrade_image(picture) for picture in pictures]
             pictures = alternating(degraded, [processed(model, image) for image in degraded])
         elif works_on_images(plugin):
             options += ["--post", str(model)]

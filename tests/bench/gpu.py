@@ -492,7 +492,7 @@ def _probed(device: Device) -> dict[str, Any]:
         "quads, ms": 1e3 * timings.quads,
         "small tiles, ms": 1e3 * timings.small_tiles,
         "tile, pixels": timings.tile,
-        "best": timings.fastest,
+        "best": timings.fastest_rasteriser,
     }
 
 

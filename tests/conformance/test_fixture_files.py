@@ -11,7 +11,7 @@ from gsgen.contract.validator import validate
 def files_of(fixture: Fixture) -> set[str]:
     """Return the names of the files that a fixture writes beside its model."""
     spec = fixture.draw()
-    return {*spec.beside, *spec.zero_files, *spec.links}
+    return {*spec.extra_files, *spec.zero_files, *spec.links}
 
 
 WITH_FILES = [

@@ -37,7 +37,7 @@ def bases(folder: Path | None = None) -> list[Base]:
         if len(content) > _MAX_BYTES:
             continue
         external_data = None
-        if folder is not None and (spec.beside or spec.zero_files or spec.links):
+        if folder is not None and (spec.extra_files or spec.zero_files or spec.links):
             external_data = folder / fixture.name
             external_data.mkdir(parents=True, exist_ok=True)
             spec.write(external_data / "base.onnx")

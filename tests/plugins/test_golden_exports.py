@@ -102,8 +102,10 @@ def test_half_precision_halves_the_weights_and_agrees_three_times_better_than_as
     if live:
         assert_captured(exported.report)
     assert_margin(case.name, path)
-    assert exported.halved is not None
-    retained = weights_of(path, {weight.node for weight in exported.halved.retained_weights})
+    assert exported.float16_result is not None
+    retained = weights_of(
+        path, {weight.node for weight in exported.float16_result.retained_weights}
+    )
     assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     assert stored(path) - sum(retained) <= 0.52 * (stored(case.exported.path) - sum(retained))
 
@@ -129,7 +131,9 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
 
 @pytest.mark.slow
 def test_viewer_export_prints_the_detected_method(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
+    options = AnchorOptions(
+        anchors=20, cameras=3, appearance=4, has_feature_bank=True, iteration=40000
+    )
     run = write_octree(tmp_path / "run", options, mode="progressive")
     words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
     words += ["-o", str(tmp_path / "tree.onnx"), "--target", "visionary"]

@@ -93,7 +93,7 @@ def random_camera(rng: random.Random, number: int) -> Camera:
                             fov_y=rng.uniform(5, 150), near=10 ** rng.uniform(-3, 1))  # fmt: skip
     if number % 3 == 1:
         return camera.flattened(rng.uniform(0.5, 20))
-    return camera.all_around(width, height) if number % 3 == 2 else camera
+    return camera.panorama_around(width, height) if number % 3 == 2 else camera
 
 
 def random_set(rng: random.Random, number: int) -> SplatSet:

@@ -44,7 +44,7 @@ class Case:
         return f"{self.rule.id}-{self.rule.slug}"
 
     @property
-    def broken(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether the model breaks the contract rule, including expected failures and warnings."""
         return bool(self.findings)
 

@@ -81,11 +81,11 @@ def collect_evidence(
     The failing probes are run once more, so that a command names a probe only if that probe
     alone breaks the rule.
     """
-    broken_cases = [case for case in cases if case.broken]
+    failed_cases = [case for case in cases if case.has_failed]
     evidence_by_rule = {
-        case.rule.id: Evidence(_command(path, settings, case)) for case in broken_cases
+        case.rule.id: Evidence(_command(path, settings, case)) for case in failed_cases
     }
-    executed_cases = [case for case in broken_cases if case.rule.scope not in ("model", "report")]
+    executed_cases = [case for case in failed_cases if case.rule.scope not in ("model", "report")]
     if not executed_cases:
         return evidence_by_rule
     subject, plan = plan_model_runs(path, settings)

@@ -100,5 +100,5 @@ def run_model(
         if not suite_names or name in suite_names
         for rule in rules
     )
-    failing = [case for case in cases if case.status in FAILED_CASE_STATUSES]
-    return ModelRun(report, cases, collect_evidence(path, settings, failing, dumps))
+    failed_cases = [case for case in cases if case.status in FAILED_CASE_STATUSES]
+    return ModelRun(report, cases, collect_evidence(path, settings, failed_cases, dumps))

@@ -60,8 +60,10 @@ def _severity_rank(status: CaseStatus) -> int:
 
 
 def _case_counts_text(cases: Sequence[Case]) -> str:
-    counted = Counter(case.status for case in cases)
-    return ", ".join(f"{counted[status]} {status}" for status in _STATUS_ORDER if counted[status])
+    count_by_status = Counter(case.status for case in cases)
+    return ", ".join(
+        f"{count_by_status[status]} {status}" for status in _STATUS_ORDER if count_by_status[status]
+    )
 
 
 def _case_lines(run: ModelRun, case: Case) -> list[Line]:

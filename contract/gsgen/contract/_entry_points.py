@@ -9,7 +9,7 @@ __all__ = [
     "ExtensionUnusable",
     "PluginExit",
     "find_extensions",
-    "foreign_code",
+    "plugin_exits_as_errors",
     "registered_entry_points",
     "short_repr",
 ]
@@ -96,7 +96,7 @@ class Extension:
                 ExitCode.USAGE,
             )
         try:
-            with foreign_code():
+            with plugin_exits_as_errors():
                 return self.point.load()
         except Exception as error:  # a third party's code may fail in any way
             reason = short_repr(error)
@@ -143,7 +143,7 @@ class PluginExit(Exception):
 
 
 @contextmanager
-def foreign_code() -> Iterator[None]:
+def plugin_exits_as_errors() -> Iterator[None]:
     """Turn SystemExit and its like, and ``os._exit``, into PluginExit within the block.
 
     Ctrl-C still raises KeyboardInterrupt. ``os._exit`` ends other threads' processes as before, and
@@ -171,7 +171,7 @@ def foreign_code() -> Iterator[None]:
 def short_repr(value: object) -> str:
     """Return the ``repr`` of a third party's object in one short line, even if its class fails."""
     try:
-        with foreign_code():
+        with plugin_exits_as_errors():
             text = str(value) if isinstance(value, PluginExit) else repr(value)
             text = " ".join(text.split())
     except Exception:  # the class is a third party's

@@ -24,7 +24,7 @@ def preview_png(value: object) -> bytes | None:
 
 
 def summary_html(
-    title: str, rows: Sequence[tuple[str, str]], picture: bytes | None = None, alt: str = ""
+    title: str, rows: Sequence[tuple[str, str]], picture: bytes | None = None, alt_text: str = ""
 ) -> str:
     """Return HTML with a title, a table of names and values, and a PNG picture."""
     lines = "".join(
@@ -35,5 +35,5 @@ def summary_html(
     image = ""
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
-        image = f'<img alt="{for_html(alt or title)}" src="data:image/png;base64,{data}">'
+        image = f'<img alt="{for_html(alt_text or title)}" src="data:image/png;base64,{data}">'
     return f"<div><strong>{for_html(title)}</strong><table>{lines}</table>{image}</div>"

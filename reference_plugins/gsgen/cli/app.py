@@ -15,7 +15,7 @@ from typing import Never, TextIO
 from gsgen.cli.text_streams import accept_any_text, open_closed_streams, safe_streams
 from gsgen.contract.errors import ExitCode, FileNote, GsgenError
 from gsgen.contract.process.drafts import remove_own_drafts
-from gsgen.contract.process.interrupts import ending_at_interrupts
+from gsgen.contract.process.interrupts import end_on_interrupt
 
 # Objects between two garbage collections: more than all imports of a command create.
 _COLLECTION_THRESHOLD = 500_000
@@ -33,15 +33,15 @@ def main() -> None:
 
 def _run_until_interrupt() -> None:
     try:
-        with ending_at_interrupts() as interrupts:
+        with end_on_interrupt() as interrupts:
             _run()
     except KeyboardInterrupt:
         sys.exit(interrupts.exit_code)
-    except SystemExit as ended:
+    except SystemExit as system_exit:
         if interrupts.requested.is_set():  # a window's event loop closes it on Ctrl-C
             sys.exit(interrupts.exit_code)
-        if ended.code == ExitCode.INTERNAL and ended.__cause__ is not None:
-            _report_early_end(ended)
+        if system_exit.code == ExitCode.INTERNAL and system_exit.__cause__ is not None:
+            _report_early_end(system_exit)
         raise
     finally:
         remove_own_drafts()  # for a second Ctrl-C, which stops the removal after the first
@@ -67,8 +67,8 @@ def _run() -> None:
         _fail_at_system(error)
     except UnicodeEncodeError as error:
         _fail_at_text(error)
-    except SystemExit as ended:
-        if isinstance(ended.__context__, BrokenPipeError):
+    except SystemExit as system_exit:
+        if isinstance(system_exit.__context__, BrokenPipeError):
             _end_at_closed_pipe()  # click and rich would exit with 1, as if a model were invalid
         raise
     except KeyboardInterrupt:
@@ -176,13 +176,13 @@ def _exit_after_crash() -> Never:
     sys.exit(ExitCode.INTERNAL)
 
 
-def _report_early_end(ended: SystemExit) -> None:
+def _report_early_end(system_exit: SystemExit) -> None:
     """Print which line of code, of a plugin for example, ended a command with SystemExit."""
     import traceback
 
     from gsgen.contract._entry_points import short_repr
 
-    cause = ended.__cause__
+    cause = system_exit.__cause__
     assert cause is not None
     frame = traceback.extract_tb(cause.__traceback__)[-1]
     where = f"{frame.filename}:{frame.lineno} ({frame.line})"

@@ -15,7 +15,12 @@ from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_table import Command, find_command, panels
 from gsgen.cli.options import OPTION_ORDER
-from gsgen.contract._entry_points import Extension, ExtensionUnusable, foreign_code, short_repr
+from gsgen.contract._entry_points import (
+    Extension,
+    ExtensionUnusable,
+    plugin_exits_as_errors,
+    short_repr,
+)
 from gsgen.contract._safe_text import for_shell, printable
 from gsgen.contract.errors import ExitCode, UnknownName
 
@@ -121,7 +126,7 @@ def usable_command(
         help: The help of a function, in place of its docstring.
     """
     try:
-        with foreign_code():
+        with plugin_exits_as_errors():
             return _click_command(extension.name, loaded, settings, cls, help)
     except Exception as error:  # typer refuses annotations that it does not know, for example
         reason = str(error) if isinstance(error, TypeError) else short_repr(error)

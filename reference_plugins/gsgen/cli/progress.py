@@ -38,9 +38,9 @@ class _ProgressLine:
                 self.display.remove_task(task_id)
             self.display.add_task(words, total=shown_count[1] if match else None)
             self.shown_count = shown_count
-        completed_steps = int(match["done"]) if match else None
+        completed_step_count = int(match["done"]) if match else None
         self.display.update(
-            self.display.task_ids[0], description=f"{words} …", completed=completed_steps
+            self.display.task_ids[0], description=f"{words} …", completed=completed_step_count
         )
 
     def close(self) -> None:

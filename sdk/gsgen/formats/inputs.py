@@ -88,7 +88,7 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
     run = folder if match[0].startswith("point_cloud/") else folder.parent
     options = run / _OPTIONS
     text = options.read_text("utf-8", "replace") if options.is_file() else ""
-    beside = [file.name for file in sorted(cloud.parent.iterdir()) if file != cloud]
+    neighbour_names = [file.name for file in sorted(cloud.parent.iterdir()) if file != cloud]
     networks = [
         f"{entry.name}/"
         for entry in sorted(run.iterdir())
@@ -99,7 +99,7 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
         iteration=match[1],
         cameras=run / _CAMERAS if (run / _CAMERAS).is_file() else None,
         antialiased=re.search(r"\bantialiasing=True\b", text) is not None,
-        unused=(*networks, *(name for name in beside if not name.startswith("."))),
+        unused=(*networks, *(name for name in neighbour_names if not name.startswith("."))),
     )
 
 

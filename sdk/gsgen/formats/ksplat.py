@@ -192,7 +192,7 @@ def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, fl
     rows = read_array(data, record, (section.count,), section.rows, "splats")
     rgba = rows["rgba"] / np.float32(255)
     constant = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
-    higher = _harmonics(rows["sh"], level, sh_range)
+    higher_sh = _harmonics(rows["sh"], level, sh_range)
     return Splats(
         position=_positions(data, section, rows, level),
         rotation=unit_or_zero(rows["rotation"]),
@@ -200,7 +200,7 @@ def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, fl
             rows["scale"]
         ),  # a negative scale becomes NaN, which require_drawable refuses
         logit_opacity=logit(rgba[:, 3]),
-        sh=np.concatenate([constant, higher], axis=1).astype(np.float32),
+        sh=np.concatenate([constant, higher_sh], axis=1).astype(np.float32),
     )
 
 

@@ -142,7 +142,7 @@ class Comparison:
         nearby: Returns the expected outputs for slightly changed inputs, which a few rows may match
             instead: at a threshold, such as the border of a frustum, one kernel jumps a little
             sooner than another.
-        any_order: Whether the rows of a probe may agree as a set: where the values that a module
+        ignores_row_order: Whether the rows of a probe may agree as a set: where the values that a module
             sorts by are equal, the order of rows is that of a kernel.
     """
 
@@ -152,10 +152,10 @@ class Comparison:
         *,
         roundings: int = 1,
         nearby: NearbyReferences | None = None,
-        any_order: bool = False,
+        ignores_row_order: bool = False,
     ) -> None:
         self._allowance = Allowance(tolerances, roundings)
-        self._nearby_references, self._ignores_row_order = nearby, any_order
+        self._nearby_references, self._ignores_row_order = nearby, ignores_row_order
         self._worst_by_field: dict[str, FieldError] = {}
         self._probe_count = self._jump_row_count = self._reorder_count = 0
 
@@ -164,7 +164,7 @@ class Comparison:
         self._probe_count += 1
         if reference.probe.zeros and not _all_finite(reference):
             return  # the module's own fault, which rule GI009 reports
-        fields, jump_rows = _compare_probe(
+        fields, jumped_rows = _compare_probe(
             reference, output, self._allowance, self._nearby_references
         )
         ignores_order = self._ignores_row_order and reference.cells is None
@@ -172,9 +172,9 @@ class Comparison:
             sorted_output = _match_row_order(reference, output)
             unordered_fields, _ = _compare_probe(reference, sorted_output, self._allowance, None)
             if all(field.excess <= 1 for field in unordered_fields):
-                fields, jump_rows = unordered_fields, 0
+                fields, jumped_rows = unordered_fields, 0
                 self._reorder_count += 1
-        self._jump_row_count += jump_rows
+        self._jump_row_count += jumped_rows
         for field in fields:
             known = self._worst_by_field.get(field.field)
             if known is None or field.excess > known.excess:
@@ -267,7 +267,7 @@ def _compare_probe(
     if (output.cells is None) != (reference.cells is None):
         return [FieldError(field="cells", error=1.0, excess=np.inf, probe=label)], 0
     worst_by_field: dict[str, FieldError] = {}
-    jumps = 0
+    has_jumped = 0
     for measure, total in ((_row_errors, n), (_cell_errors, reference.live_cells)):
         errors_at = partial(measure, output, allowance)
         pending_errors: list[tuple[Errors, np.ndarray]] = []
@@ -284,16 +284,16 @@ def _compare_probe(
             else np.zeros(0, np.int64)
         )
         # Step 2: a few others may be as they are nearby.
-        allowed_jumps = max(1, _MAX_JUMP_FRACTION * n) - jumps
-        if nearby is not None and 0 < len(rows) <= _MAX_EXTRA_ROWS + allowed_jumps:
-            errors, jump_rows = _retry_nearby(errors_at, reference, rows, nearby(reference))
-            if jump_rows <= allowed_jumps:
+        allowed_jump_count = max(1, _MAX_JUMP_FRACTION * n) - has_jumped
+        if nearby is not None and 0 < len(rows) <= _MAX_EXTRA_ROWS + allowed_jump_count:
+            errors, jumped_rows = _retry_nearby(errors_at, reference, rows, nearby(reference))
+            if jumped_rows <= allowed_jump_count:
                 pending_errors = [(errors, rows)]
-                jumps += jump_rows
+                has_jumped += jumped_rows
         # Step 3: what remains of the others counts.
         for errors, rows in pending_errors:
             keep_worst(worst_by_field, errors, rows, label)
-    return list(worst_by_field.values()), jumps
+    return list(worst_by_field.values()), has_jumped
 
 
 def _select_errors(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
@@ -305,7 +305,7 @@ def _retry_nearby(
 ) -> tuple[Errors, int]:
     """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
     errors = errors_at(rows, reference)
-    jumps = np.zeros(len(rows), bool)
+    has_jumped = np.zeros(len(rows), bool)
     for neighbour in nearby:
         if neighbour.count != reference.count or len(neighbour.gaussians) < reference.count:
             continue
@@ -315,8 +315,8 @@ def _retry_nearby(
                 np.where(matches_nearby, b, a) for a, b in zip(errors[name], pair, strict=True)
             )
             errors[name] = (error, allowed)
-            jumps |= matches_nearby
-    return errors, int(np.count_nonzero(jumps))
+            has_jumped |= matches_nearby
+    return errors, int(np.count_nonzero(has_jumped))
 
 
 _MeasureErrors = Callable[[np.ndarray, Reference], Errors]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.contract.process.interrupts import Terminated, ending_at_interrupts
+from gsgen.contract.process.interrupts import Terminated, end_on_interrupt
 from support.commands import gsgen_here
 from support.models.endless import endless
 
@@ -151,7 +151,7 @@ def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it(
     used: list[int] = []
     before = signal.signal(number, lambda sent, _: used.append(sent))
     try:
-        with ending_at_interrupts(10_000) as interrupts:
+        with end_on_interrupt(10_000) as interrupts:
             os.kill(os.getpid(), number)
     finally:
         signal.signal(number, before)
@@ -162,7 +162,7 @@ def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it(
 
 def test_second_signal_does_not_interrupt_the_cleanup() -> None:
     cleaned = []
-    with ending_at_interrupts(10_000):
+    with end_on_interrupt(10_000):
         try:
             os.kill(os.getpid(), signal.SIGTERM)
         except Terminated:
@@ -175,7 +175,7 @@ def test_second_signal_does_not_interrupt_the_cleanup() -> None:
 def test_ignored_hang_up_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as `nohup` does
     try:
-        with ending_at_interrupts(10_000) as interrupts:
+        with end_on_interrupt(10_000) as interrupts:
             os.kill(os.getpid(), signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
@@ -202,7 +202,7 @@ def test_end_by_the_timer_removes_drafts(tmp_path: Path) -> None:
 def test_other_signals_are_not_handled() -> None:
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
-        with ending_at_interrupts(10_000) as interrupts:
+        with end_on_interrupt(10_000) as interrupts:
             os.kill(os.getpid(), signal.SIGUSR1)
     finally:
         signal.signal(signal.SIGUSR1, before)

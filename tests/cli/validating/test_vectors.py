@@ -162,10 +162,10 @@ def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
 def test_a_copy_is_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights in a folder of their own are written beside their place, as the model is."""
     spec = find("weights_beside").draw()
-    (retained,) = spec.beside.values()
+    (retained,) = spec.extra_files.values()
     where = {name: replace(entry, location="w/c.bin") for name, entry in spec.external.items()}
     (tmp_path / "w").mkdir()
-    moved = replace(spec, external=where, beside={"w/c.bin": retained})
+    moved = replace(spec, external=where, extra_files={"w/c.bin": retained})
     moved.write(tmp_path / "m.onnx")
     target = tmp_path / "there" / "m.onnx"
     record_vectors(tmp_path / "m.onnx", tmp_path / "out", target, count=1)

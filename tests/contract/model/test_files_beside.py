@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.model.files_beside import FileRefused, contained_file, require_loadable
+from gsgen.contract.model.files_beside import FileRefused, find_contained_file, require_loadable
 from gsgen.contract.model.model_file import write_manifest
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
@@ -112,4 +112,4 @@ def test_a_file_of_two_names_is_refused_with_both_counts(tmp_path):
     (tmp_path / "a.png").write_bytes(b"")
     (tmp_path / "b.png").hardlink_to(tmp_path / "a.png")
     with pytest.raises(FileRefused, match="2 names"):
-        contained_file(tmp_path / "model.onnx", "a.png")
+        find_contained_file(tmp_path / "model.onnx", "a.png")

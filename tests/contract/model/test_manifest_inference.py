@@ -42,7 +42,7 @@ def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
     assert manifest.outputs.gaussians == GaussiansOutput("gaussian_f16", 100, "float16")
     assert manifest.outputs.appearance == AppearanceOutput("color_sh", "sh", 3)
     assert manifest.outputs.count == CountOutput("num_points")
-    assert candidate.guesses == (
+    assert candidate.manifest_guesses == (
         "input 'camera' is the view, by its name",
         "input 't' is the time, by its name",
         "input 't' has the range [0, 1]",
@@ -61,7 +61,7 @@ def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
 def test_unrecognised_model_is_reported():
     candidate = infer_manifest(graph_with(inputs=[Tensor("noise", "float32", (3,))]), "a")
     assert candidate.manifest.inputs == ()
-    assert candidate.guesses[:4] == (
+    assert candidate.manifest_guesses[:4] == (
         "input 'noise' has no recognisable role: add it by hand",
         "no output is named like packed Gaussians or is the only one ending in 10",
         "no output is named like an appearance",

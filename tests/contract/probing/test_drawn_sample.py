@@ -42,7 +42,7 @@ def test_neighbours_are_the_nearest_rows_of_the_whole_scene(count: int) -> None:
     sample = draw_sample(outputs(rows))
     assert sample is not None
     expected, _ = cKDTree(rows[:, :3].astype(float)).query(
-        sample.rows[sample.inner][:, :3], k=1 + sample.neighbours.shape[1]
+        sample.rows[sample.inner_indices][:, :3], k=1 + sample.neighbours.shape[1]
     )
     distance = np.linalg.norm(sample.offsets, axis=2)
     np.testing.assert_allclose(distance, expected[:, 1:], rtol=1e-6)
@@ -52,7 +52,7 @@ def test_neighbours_are_the_nearest_rows_of_the_whole_scene(count: int) -> None:
 def test_statistics_of_a_row_are_those_of_a_loop_over_its_neighbours() -> None:
     sample = draw_sample(outputs(random_rows(300, 5)))
     assert sample is not None
-    for number, row in enumerate(sample.inner[:40]):
+    for number, row in enumerate(sample.inner_indices[:40]):
         upper = sample.rows[row, 4:]
         matrix = upper[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3)
         variances, axes = np.linalg.eigh(matrix)

@@ -32,7 +32,7 @@ def test_each_rotation_is_the_one_that_scipy_fits(seed, noise):
     moved_sample = moved_rows(sample.rows, sample.rows[:, :3] @ turn.T + [3, -1, 2])
     moved_sample[:, :3] += noise * rng.normal(size=(len(moved_sample), 3))
     fitted = fit_local_rotations(sample, moved_sample)
-    for index, row in enumerate(sample.inner):
+    for index, row in enumerate(sample.inner_indices):
         before = sample.rows[sample.neighbours[index], :3] - sample.rows[row, :3]
         after = moved_sample[sample.neighbours[index], :3] - moved_sample[row, :3]
         expected, _ = Rotation.align_vectors(after, before)

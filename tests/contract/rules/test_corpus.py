@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from gsgen.conformance.fixtures import Fixture, example_of, find, fixtures
+from gsgen.conformance.fixtures import Fixture, example_model_of_rule, find, fixtures
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Severity
@@ -114,7 +114,7 @@ def test_an_unknown_fixture_is_answered_with_the_nearest():
 
 @pytest.mark.parametrize("rule", all_rules().rules.values(), ids=lambda rule: rule.id)
 def test_the_example_that_explain_names_is_found(rule: Rule):
-    assert find(example_of(rule.id)).rule == rule.id
+    assert find(example_model_of_rule(rule.id)).rule == rule.id
 
 
 def test_importing_the_corpus_does_not_load_onnx_runtime():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gsgen.conformance.fixtures import example_of, find
+from gsgen.conformance.fixtures import example_model_of_rule, find
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
@@ -19,7 +19,7 @@ def silent_check(_: object) -> Iterator[Violation]:
 
 @pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 def test_corpus_fails_when_a_rule_is_silent(rule: Rule, tmp_path):
-    fixture = find(example_of(rule.id))
+    fixture = find(example_model_of_rule(rule.id))
     rules = [
         replace(entry, check=silent_check) if entry is rule else entry for entry in builtin_rules()
     ]

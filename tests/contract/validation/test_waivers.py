@@ -38,7 +38,7 @@ FINDING = Finding(
 def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
     waiver = Waiver(rule=rule, reason="Known.", where=where)
     (finding,) = apply_waivers([FINDING], [waiver], TODAY)
-    assert waiver.covers(FINDING) is covers
+    assert waiver.is_waiver_of(FINDING) is covers
     assert (finding.waived, finding.waiver) == (covers, "Known." if covers else "")
 
 

@@ -8,7 +8,7 @@ from acme_gsgen import small_enough, write_row
 
 from gsgen.conformance import GeneratorConformance, parametrize_with_rules
 from gsgen.conformance.expected import ExpectedFailure
-from gsgen.conformance.fixtures import example_of, find
+from gsgen.conformance.fixtures import example_model_of_rule, find
 from gsgen.contract import validate
 
 HERE = Path(__file__).parent
@@ -44,7 +44,7 @@ def test_acme_rule_reports_long_rows(check):
 
 
 def test_the_rule_s_example_breaks_it_and_no_other(tmp_path):
-    fixture = find(example_of(small_enough.id))
+    fixture = find(example_model_of_rule(small_enough.id))
     report = validate(fixture.write(tmp_path), fixture.settings)
     assert {finding.rule for finding in report.findings} == {small_enough.id}
 

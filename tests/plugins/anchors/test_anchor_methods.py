@@ -102,7 +102,9 @@ def test_a_fixed_appearance_is_the_chosen_one(kind: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
 def test_every_camera_gives_finite_outputs(kind: str, tmp_path: Path) -> None:
-    settings = AnchorOptions(bank=True, distance=(True, True, True), is_single_file=True)
+    settings = AnchorOptions(
+        has_feature_bank=True, distance=(True, True, True), is_single_file=True
+    )
     if kind == "scaffold":
         read = read_anchors(write_scaffold(tmp_path, settings))
         generator: GaussianGenerator = ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED)
@@ -178,7 +180,7 @@ def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
 def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path: Path) -> None:
     settings = AnchorOptions(
-        anchors=300, bank=True, distance=(True, True, True), cameras=2, appearance=3,
+        anchors=300, has_feature_bank=True, distance=(True, True, True), cameras=2, appearance=3,
         level=kind == "octree", is_single_file=True,
     )  # fmt: skip
     write = write_scaffold if kind == "scaffold" else write_octree

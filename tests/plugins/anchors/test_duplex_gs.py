@@ -218,7 +218,7 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
             [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance], dim=1
         ).numpy()
         complete = cell_oracle(read, view)
-        visible = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
+        visible = generator.level_gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
         complete[:, 3] *= visible[:, 0]
         np.testing.assert_allclose(cells, complete, rtol=2e-5, atol=2e-6)
         rows, colors = eager(generator, view)
@@ -264,7 +264,7 @@ def test_max_cells_limits_the_decoded_cells(tmp_path: Path) -> None:
     with torch.no_grad():
         outputs, complete = few_anchors(torch.from_numpy(view)), all_cells(torch.from_numpy(view))
     count = int(outputs.count)
-    visible = (all_cells.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
+    visible = (all_cells.level_gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
     retained = visible.repeat_interleave(read.anchors.cloud.per_anchor)
     assert 0 < count < len(complete.opacity)
     torch.testing.assert_close(outputs.opacity[:count], complete.opacity[retained])
@@ -394,8 +394,8 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     settings, path = Settings(level=Level.STATIC), tmp_path / "half.onnx"
     half = export(generator, path, dtype="float16", target="webgpu", settings=settings)
     assert all(agrees for agrees, _ in judge("duplex_a", path))
-    assert half.halved is not None
-    retained = weights_of(path, {weight.node for weight in half.halved.retained_weights})
+    assert half.float16_result is not None
+    retained = weights_of(path, {weight.node for weight in half.float16_result.retained_weights})
     assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
     assert stored(path) - sum(retained) <= 0.5 * (stored(exported.path) - sum(retained)) + integers

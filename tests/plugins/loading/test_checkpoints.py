@@ -179,15 +179,15 @@ def test_a_script_archive_is_read_as_torch_reads_it(tmp_path: Path) -> None:
 
 
 def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
-    options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
+    options = AnchorOptions(anchors=4, has_feature_bank=True, cameras=3, appearance=2)
     many_files = read_anchors(write_scaffold(tmp_path / "many", options)).nets
     united_options = AnchorOptions(
-        anchors=4, bank=True, cameras=3, appearance=2, is_single_file=True
+        anchors=4, has_feature_bank=True, cameras=3, appearance=2, is_single_file=True
     )
     first = read_anchors(write_scaffold(tmp_path / "one", united_options)).nets
-    assert many_files.bank is not None
-    assert first.bank is not None
-    assert torch.equal(many_files.bank.hidden, first.bank.hidden)
+    assert many_files.has_feature_bank is not None
+    assert first.has_feature_bank is not None
+    assert torch.equal(many_files.has_feature_bank.hidden, first.has_feature_bank.hidden)
     assert torch.equal(many_files.color.out, first.color.out)
     assert torch.equal(many_files.embedding, first.embedding)  # type: ignore[arg-type]
 
@@ -222,7 +222,7 @@ def _of_other_kinds(nets: dict, folder: Path) -> None:
 def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Path) -> None:
     first = save is _as_first  # which knew no appearances, and always the distance
     options = AnchorOptions(
-        anchors=4, bank=True, distance=(True, True, True), cameras=0 if first else 3,
+        anchors=4, has_feature_bank=True, distance=(True, True, True), cameras=0 if first else 3,
         appearance=0 if first else 2, is_single_file=True,
     )  # fmt: skip
     expected = read_anchors(write_scaffold(tmp_path, options)).nets
@@ -359,7 +359,7 @@ def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Pat
 def test_without_options_inputs_are_inferred_from_networks(tmp_path: Path) -> None:
     options = AnchorOptions(
         anchors=3,
-        bank=True,
+        has_feature_bank=True,
         distance=(True, False, True),
         cameras=2,
         appearance=3,
@@ -370,7 +370,7 @@ def test_without_options_inputs_are_inferred_from_networks(tmp_path: Path) -> No
     nets = read_anchors(tmp_path).nets
     heads = (nets.opacity, nets.covariance, nets.color)
     assert tuple(head.distance for head in heads) == options.distance
-    assert nets.bank is not None
+    assert nets.has_feature_bank is not None
 
 
 @pytest.mark.parametrize("flag", ["no_grid", "all off"])

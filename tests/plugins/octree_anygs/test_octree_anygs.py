@@ -35,7 +35,7 @@ def test_gaussians_of_every_level_are_those_of_the_method(
 ) -> None:
     rng = np.random.default_rng([len(base), len(mode)])
     options = AnchorOptions(
-        anchors=60, per_anchor=int(rng.integers(1, 6)), width=8, bank=mode == "round",
+        anchors=60, per_anchor=int(rng.integers(1, 6)), width=8, has_feature_bank=mode == "round",
         direction=0 if mode == "floor" else 3, seed=int(rng.integers(1000)),
     )  # fmt: skip
     folder = write_anygs(

@@ -94,8 +94,8 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
         rows, color = run(path, case.feeds(values))[:2]
         agrees, errors = tool.check(case.name, index, rows, color, "f16", target)
         assert agrees, errors
-    assert result.halved is not None
-    retained = weights_of(path, {entry.node for entry in result.halved.retained_weights})
+    assert result.float16_result is not None
+    retained = weights_of(path, {entry.node for entry in result.float16_result.retained_weights})
     assert all(size < 4 * MIN_TABLE_ELEMENTS for size in retained)  # all large tables are halved
     assert stored(path) - sum(retained) <= 0.55 * (stored(case.exported.path) - sum(retained))
 

@@ -111,7 +111,7 @@ def test_the_duration_is_asked_for_once(tmp_path: Path) -> None:
         plugin.build(run, time_duration=(1, 1))
     first, two = plugin.build(run, config), plugin.build(run, time_duration=(0, 4))
     assert torch.equal(first.velocity, two.velocity)
-    assert torch.equal(first.half_rate, two.half_rate)
+    assert torch.equal(first.half_angular_rate, two.half_angular_rate)
 
 
 def change(run: Path, index: int, value: Any) -> None:

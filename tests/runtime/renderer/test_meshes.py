@@ -322,7 +322,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     points -= ((points * upright).sum(-1, keepdims=True) - apart) * upright
     colors = rng.uniform(size=(120, 3))
     shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
-    for kind in (view_camera, view_camera.all_around(96, 48)):
+    for kind in (view_camera, view_camera.panorama_around(96, 48)):
         expected = meshes.cast_rays([Mesh(shape)], kind, "srgb")
         frame = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
         firm = ~expected.fragile & np.isfinite(expected.depth)
@@ -361,7 +361,7 @@ def test_triangles_from_near_plane_to_horizon_are_drawn(renderer: Renderer) -> N
 def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(renderer: Renderer, around: bool) -> None:
     """Corners are kilometres away; the floor under the eye is not."""
     floor_mesh = quad([[-9e3, 1, -9e3], [9e3, 1, -8e3], [9e3, 1, 9e3], [-8e3, 1, 9e3]])
-    view_camera = camera().all_around(64, 32) if around else camera(fx=20.0, fy=20.0)
+    view_camera = camera().panorama_around(64, 32) if around else camera(fx=20.0, fy=20.0)
     placed = Mesh(floor_mesh, turned(0.6, (1, 2, 3)))
     view = view_camera.view @ turned(0.6, (1, 2, 3)).T
     frame = renderer.render(

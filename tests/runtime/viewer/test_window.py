@@ -20,7 +20,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import sources_of
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
-from gsgen.runtime.viewer.window import accept_drops
+from gsgen.runtime.viewer.window import accept_dropped_files
 from support.models.endless import endless
 from support.rendering.viewers import SIZE, Hand
 
@@ -98,7 +98,7 @@ def test_files_that_are_dropped_on_a_window_are_opened(
         return LivePlayback(sources_of(cloud))
 
     hand = Hand(LivePlayback(sources_of(cloud)), painter, open_files=reopen)
-    accept_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
+    accept_dropped_files(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
     ((window, dropped_callback),) = opened_windows
     assert window == "window"
     dropped_callback(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])

@@ -44,7 +44,7 @@ def of_anchors(read: AnchorCheckpoint, *, turned: bool = False) -> int:
     retained = [cloud.position, cloud.offset, cloud.feature, cloud.log_scale]
     retained += [cloud.rotation] if turned else []
     levels = [cloud.level, cloud.extra_level]
-    heads = (nets.opacity, nets.covariance, nets.color, nets.bank)
+    heads = (nets.opacity, nets.covariance, nets.color, nets.has_feature_bank)
     return _sum([*retained, *levels, nets.embedding]) + sum(_mlp(net) for net in heads)
 
 
@@ -114,7 +114,7 @@ def of_lhm(read: LHMCheckpoint) -> int:
 
 def of_r3(read: R3Checkpoint, used: int) -> int:
     """R3-Avatar with ``used`` vertices; scale, turn and opacity are the decoder's."""
-    layers = [*read.inner, *read.heads.values()]
+    layers = [*read.inner_indices, *read.heads.values()]
     total = _sum((read.canonical.position, read.canonical.sh))
     total += _sum(plane for six in read.grids for plane in six)
     total += _sum(tensor for layer in layers for tensor in layer)

@@ -205,7 +205,7 @@ def test_six_stuck_tiles_do_not_stop_the_others(town: Path, fault: str) -> None:
                 session.wait(0.05)
                 frame = session.frame(view)
             assert frame.is_complete
-            assert len(frame.absent) == len(set(lines)) == 6
+            assert len(frame.absent_tiles) == len(set(lines)) == 6
             tiles = [session.tree.tiles[index] for index in np.flatnonzero(session.resident)]
     assert {leaf.contents[0].uri for leaf in leaves[6:]} <= {
         content.uri for tile in tiles for content in tile.contents
@@ -255,7 +255,7 @@ def test_hostile_tile_is_one_line_and_leaves_the_other_drawn(name: str) -> None:
                 frame = session.frame(view)
             assert frame.is_complete
             assert [entry.tile for entry in frame.drawn] == [0]
-            assert frame.absent == (1,)
+            assert frame.absent_tiles == (1,)
             assert session._fetch_link.free == options.connections
         assert server.strangers == 0
     assert len(lines) == 1
@@ -280,7 +280,7 @@ def test_size_that_a_server_does_not_tell_is_no_fault_of_the_tileset(name: str) 
         while not frame.is_complete and time.monotonic() < end:
             session.wait(0.05)
             frame = session.frame(view)
-        assert frame.absent == (0,)
+        assert frame.absent_tiles == (0,)
         assert server.address_of("bad.glb") in session.first_failure
 
 

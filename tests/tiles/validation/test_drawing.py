@@ -82,7 +82,7 @@ def edited_parents(edit: Callable[[Splats], Splats], monkeypatch: pytest.MonkeyP
         if len(cut) > 1 or not cut[0][0].children:
             return parts
         center = np.mean([part.origin for part in parts], axis=0)
-        return [PlacedSplats(edit(part.around(center)), center) for part in parts]
+        return [PlacedSplats(edit(part.looking_at_bounds(center)), center) for part in parts]
 
     monkeypatch.setattr(drawing._TileRenderer, "_read", read_edited)
 
@@ -95,7 +95,7 @@ def test_levels_of_a_build_agree(knot_tiles: Path) -> None:
         assert pair.ssim > 0.65
         assert pair.pixels == pytest.approx(16, rel=0.02)
         assert pair.children > 1
-    assert all(tile.covered > 0.9 for tile in result.tiles)
+    assert all(tile.covered_mask > 0.9 for tile in result.tiles)
 
 
 @pytest.mark.parametrize("edit", [turned, shifted, halved, recolored])

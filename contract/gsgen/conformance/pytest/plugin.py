@@ -100,14 +100,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     marker = metafunc.definition.get_closest_marker(_MARKER_NAME)
     if marker is not None:
         from gsgen.conformance.pytest.session import ConformanceSession
-        from gsgen.conformance.pytest.testing import checks_for
+        from gsgen.conformance.pytest.testing import requested_checks
 
         conformance_session, folder = (
             ConformanceSession.from_config(metafunc.config),
             metafunc.definition.path.parent,
         )
         try:
-            checks = checks_for(marker.args[0], conformance_session, folder)
+            checks = requested_checks(marker.args[0], conformance_session, folder)
         except pytest.UsageError as error:  # stacks of pytest and gsgen do not show the mistake
             message = f"{metafunc.definition.nodeid}: {error}"
             raise pytest.fail.Exception(message, pytrace=False) from None

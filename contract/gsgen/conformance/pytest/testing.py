@@ -3,7 +3,7 @@
 Needs pytest: ``pip install 'gsgen[conformance]'``.
 """
 
-__all__ = ["Check", "RuleWarning", "checks_for", "parametrize_with_rules"]
+__all__ = ["Check", "RuleWarning", "parametrize_with_rules", "requested_checks"]
 
 import os
 from collections.abc import Callable, Iterable
@@ -121,7 +121,9 @@ class Check:
         raise_outcome(self.run, self.case)
 
 
-def checks_for(request: Request, pytest_session: ConformanceSession, folder: Path) -> list[Check]:
+def requested_checks(
+    request: Request, pytest_session: ConformanceSession, folder: Path
+) -> list[Check]:
     """Return a check (callable) for each validation rule of each model that a test requests."""
     try:
         return _checks(request, pytest_session, folder)

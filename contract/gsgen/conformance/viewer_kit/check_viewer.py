@@ -54,16 +54,16 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
     if not pictures.is_dir():
         raise KitUnreadable(f"{pictures}: is not a folder, expected that of the viewer's pictures")
     cases = [_check_case(kit, pictures, case, index) for case in index["cases"]]
-    failed = {case["name"] for case in cases if case["verdict"] == "failed"}
-    differing_cases = {
+    failed_case_names = {case["name"] for case in cases if case["verdict"] == "failed"}
+    differing_case_names = {
         case["name"] for case in cases if any(map(_does_frame_differ, case["frames"]))
     }
     frames = [frame for case in cases for frame in case["frames"]]
     causes = [frame.get("cause") for frame in frames]
     return {
         "schema": RESULT_SCHEMA,
-        "verdict": "failed" if failed else "passed",
-        "counts": {"passed": len(cases) - len(failed), "failed": len(failed)},
+        "verdict": "failed" if failed_case_names else "passed",
+        "counts": {"passed": len(cases) - len(failed_case_names), "failed": len(failed_case_names)},
         "pictures": {
             "total": len(frames),
             "missing": causes.count("missing"),
@@ -71,7 +71,9 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
         },
         "tolerance": index["tolerance"],
         "tolerance_8_bits": _tolerance(index, is_png=True),
-        "faults": suspected_faults(index, differing_cases, failed - differing_cases),
+        "faults": suspected_faults(
+            index, differing_case_names, failed_case_names - differing_case_names
+        ),
         "cases": cases,
     }
 
@@ -149,7 +151,9 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
 
 
 def suspected_faults(
-    index: dict[str, Any], failed: set[str], unknown: set[str] | frozenset[str] = frozenset()
+    index: dict[str, Any],
+    failed_case_names: set[str],
+    unknown: set[str] | frozenset[str] = frozenset(),
 ) -> list[dict[str, Any]]:
     """Return the known faults that explain the failed cases, or none.
 
@@ -160,7 +164,11 @@ def suspected_faults(
     cases_by_fault: dict[str, frozenset[str]] = {}
     for fault in index["faults"]:
         known_cases = frozenset(fault["cases"]) - unknown
-        if known_cases and known_cases <= failed and 2 * len(known_cases) >= len(fault["cases"]):
+        if (
+            known_cases
+            and known_cases <= failed_case_names
+            and 2 * len(known_cases) >= len(fault["cases"])
+        ):
             cases_by_fault[fault["id"]] = known_cases
     largest = {
         fault: cases
@@ -168,25 +176,30 @@ def suspected_faults(
         if not any(cases < other for other in cases_by_fault.values())
     }
     slight = {
-        fault["id"]: failed.intersection(fault.get("slight", [])) for fault in index["faults"]
+        fault["id"]: failed_case_names.intersection(fault.get("slight", []))
+        for fault in index["faults"]
     }
     explaining_faults = {
         cases
         for fault, cases in largest.items()
-        if len(cases | slight[fault]) >= _MIN_EXPLAINED_SHARE * len(failed)
-    } or _explaining_fault_pair(set(largest.values()), failed)
+        if len(cases | slight[fault]) >= _MIN_EXPLAINED_SHARE * len(failed_case_names)
+    } or _explaining_fault_pair(set(largest.values()), failed_case_names)
     return [fault for fault in index["faults"] if largest.get(fault["id"]) in explaining_faults]
 
 
 def _explaining_fault_pair(
-    cases_by_fault: set[frozenset[str]], failed: set[str]
+    cases_by_fault: set[frozenset[str]], failed_case_names: set[str]
 ) -> set[frozenset[str]]:
-    """Return the two sets of cases whose union is ``failed``, if there is one such pair.
+    """Return the two sets of cases whose union is ``failed_case_names``, if there is one such pair.
 
     Sets of one case take no part: any two failures would be explained by two of them.
     """
     larger_case_sets = [cases for cases in cases_by_fault if len(cases) > 1]
-    pairs = [set(pair) for pair in combinations(larger_case_sets, 2) if pair[0] | pair[1] == failed]
+    pairs = [
+        set(pair)
+        for pair in combinations(larger_case_sets, 2)
+        if pair[0] | pair[1] == failed_case_names
+    ]
     return pairs[0] if len(pairs) == 1 else set()
 
 
@@ -341,8 +354,8 @@ def _undrawn_reason(frame: dict[str, Any]) -> str:
 def _notes(result: dict[str, Any]) -> list[str]:
     """Return what holds for the pictures as a whole: how many are missing, and no known fault."""
     counts = result["pictures"]
-    be_form = "is" if counts["missing"] == 1 else "are"
-    words = {"missing": f"{be_form} missing", "unreadable": "cannot be read"}
+    verb_form = "is" if counts["missing"] == 1 else "are"
+    words = {"missing": f"{verb_form} missing", "unreadable": "cannot be read"}
     notes = [
         f"{counts[cause]} of {counts['total']} pictures {verb}"
         for cause, verb in words.items()

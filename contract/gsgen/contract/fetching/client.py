@@ -234,7 +234,7 @@ class WebClient:
         self, method: str, address: str, headers: Mapping[str, str], deadline: Deadline
     ) -> Iterator[tuple[HTTPResponse, WebConnection]]:
         """Send a request, follow its redirects, and release the connection in the end."""
-        target, current = _parse(address), address
+        target, current_address = _parse(address), address
         for _ in range(_MAX_REDIRECTS + 1):
             connection, response = self._send_request(method, target, address, headers, deadline)
             try:
@@ -245,7 +245,7 @@ class WebClient:
                 location = response.getheader("Location", "")
             finally:
                 self._pool.release(connection, response)
-            target, current = self._redirect_target(address, current, location)
+            target, current_address = self._redirect_target(address, current_address, location)
         raise ServerUnavailable(f"more than {_MAX_REDIRECTS} redirects", where=address)
 
     def _send_request(
@@ -276,11 +276,13 @@ class WebClient:
                 raise
             return connection, response
 
-    def _redirect_target(self, address: str, current: str, location: str) -> tuple[WebAddress, str]:
+    def _redirect_target(
+        self, address: str, current_address: str, location: str
+    ) -> tuple[WebAddress, str]:
         """Return the address of an HTTP redirect; raise if its origin is not allowed."""
         allowed = " or ".join(sorted(map(str, self._allowed)))
         try:
-            redirected = urljoin(current, location)
+            redirected = urljoin(current_address, location)
             target = parse_address(redirected) if location else None
         except ValueError:
             target = None

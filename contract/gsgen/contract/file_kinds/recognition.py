@@ -96,10 +96,10 @@ def _gzip_kind(head: bytes, nesting: int) -> FileKind:
         return FileKind(name="gzip", title="a damaged gzip file", hint=DOWNLOAD_AGAIN_HINT)
     if content.startswith(b"NGSP"):
         return FileKind(name="spz", title="an SPZ file of splats", hint=SPLATS)
-    inner = None
+    unpacked_kind = None
     if content and nesting < _MAX_NESTING:
-        inner = _kind(content, None, nesting + 1)
-    title = f"a gzip file of {inner.title}" if inner else "a gzip file"
+        unpacked_kind = _kind(content, None, nesting + 1)
+    title = f"a gzip file of {unpacked_kind.title}" if unpacked_kind else "a gzip file"
     return FileKind(name="gzip", title=title, hint=UNPACK)
 
 

@@ -5,7 +5,13 @@ a link, as in caches that store files by digest, the file may also be a link to 
 beside the model's real file.
 """
 
-__all__ = ["FileRefused", "contained_file", "loaded_files", "require_loadable", "weight_faults"]
+__all__ = [
+    "FileRefused",
+    "find_contained_file",
+    "loaded_files",
+    "require_loadable",
+    "weight_faults",
+]
 
 import os
 import stat
@@ -39,7 +45,7 @@ class FileRefused(ModelUnreadable):
         )
 
 
-def contained_file(model: Path, location: str) -> Path:
+def find_contained_file(model: Path, location: str) -> Path:
     """Return the real path of a file that a model names by ``location``.
 
     The path counts from the folder of the model or, if the model is a link and no such file is
@@ -95,8 +101,11 @@ def loaded_files(file: ModelFile) -> list[Path]:
     These are the model and its external weights, without those that must not be read.
     """
     locations = dict.fromkeys(ref.location for ref in file.external)
-    found = [_lookup(file.loading_path, location) for location in locations]
-    return [file.loading_path.resolve(), *(path for path in found if isinstance(path, Path))]
+    lookup_results = [_lookup(file.loading_path, location) for location in locations]
+    return [
+        file.loading_path.resolve(),
+        *(path for path in lookup_results if isinstance(path, Path)),
+    ]
 
 
 def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
@@ -113,11 +122,11 @@ def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
 
 
 def _weight_fault(model: Path, ref: ExternalRef, tensor: TensorProto) -> tuple[str, str] | None:
-    found = _lookup(model, ref.location)
-    if not isinstance(found, Path):
+    lookup_result = _lookup(model, ref.location)
+    if not isinstance(lookup_result, Path):
         weight = f" (weight {ref.tensor!r})" if ref.location else ""
-        return f"{found[0]}{weight}", found[1]
-    size = found.stat().st_size
+        return f"{lookup_result[0]}{weight}", lookup_result[1]
+    size = lookup_result.stat().st_size
     for entry in tensor.external_data:
         if entry.key in ("offset", "length") and parse_length(entry.value) is None:
             actual = f"declares the {entry.key} {entry.value!r:.40} for weight {ref.tensor!r}"

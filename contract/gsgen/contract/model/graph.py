@@ -176,7 +176,7 @@ class Graph:
 
     @cached_property
     def _all_nodes(self) -> list[NodeProto]:
-        return [inner for node in self.nodes for inner in _nested_nodes(node, 0)]
+        return [nested_node for node in self.nodes for nested_node in _nested_nodes(node, 0)]
 
 
 def names_read(node: NodeProto) -> list[str]:
@@ -184,8 +184,8 @@ def names_read(node: NodeProto) -> list[str]:
     names = list(filter(None, node.input))
     for attribute in node.attribute:
         for graph in subgraphs(attribute):
-            for inner in graph.node:
-                names.extend(names_read(inner))
+            for nested_node in graph.node:
+                names.extend(names_read(nested_node))
             names.extend(output.name for output in graph.output)
     return names
 
@@ -372,8 +372,8 @@ def _nested_nodes(node: NodeProto, depth: int) -> Iterator[NodeProto]:
     if depth < _MAX_DEPTH:
         for attribute in node.attribute:
             for graph in subgraphs(attribute):
-                for inner in graph.node:
-                    yield from _nested_nodes(inner, depth + 1)
+                for nested_node in graph.node:
+                    yield from _nested_nodes(nested_node, depth + 1)
 
 
 def _weight_tensor(tensor: TensorProto) -> Tensor:

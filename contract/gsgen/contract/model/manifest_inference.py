@@ -58,22 +58,28 @@ class Candidate:
     """An inferred manifest, with the guesses that the model's author should confirm."""
 
     manifest: GeneratorManifest
-    guesses: tuple[str, ...]
+    manifest_guesses: tuple[str, ...]
 
 
 def infer_manifest(graph: Graph, name: str) -> Candidate:
     """Infer a model's manifest from the names and shapes of its graph's tensors."""
-    guesses: list[str] = []
-    inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
+    manifest_guesses: list[str] = []
+    inputs = tuple(_input(tensor, manifest_guesses) for tensor in graph.inputs if _role_of(tensor))
     unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]
-    guesses += [f"input {name!r} has no recognisable role: add it by hand" for name in unknown]
+    manifest_guesses += [
+        f"input {name!r} has no recognisable role: add it by hand" for name in unknown
+    ]
     outputs = GeneratorOutputs(
-        _gaussians(graph, guesses), _appearance(graph, guesses), _count(graph, guesses)
+        _gaussians(graph, manifest_guesses),
+        _appearance(graph, manifest_guesses),
+        _count(graph, manifest_guesses),
     )
     manifest = GeneratorManifest(name=name, inputs=inputs, outputs=outputs, space=Space())
-    guesses.append("space: -y up, arbitrary unit, column matrix order (the usual for 3DGS)")
-    guesses.append("bounds: unknown, add the box that holds the Gaussians")
-    return Candidate(manifest, tuple(guesses))
+    manifest_guesses.append(
+        "space: -y up, arbitrary unit, column matrix order (the usual for 3DGS)"
+    )
+    manifest_guesses.append("bounds: unknown, add the box that holds the Gaussians")
+    return Candidate(manifest, tuple(manifest_guesses))
 
 
 def _role_of(tensor: Tensor) -> str | None:
@@ -81,17 +87,17 @@ def _role_of(tensor: Tensor) -> str | None:
     return next((role for role, names in _INPUT_NAMES.items() if lower_name in names), None)
 
 
-def _input(tensor: Tensor, guesses: list[str]) -> Input:
+def _input(tensor: Tensor, manifest_guesses: list[str]) -> Input:
     role = _role_of(tensor)
     assert role is not None
-    guesses.append(f"input {tensor.name!r} is the {role}, by its name")
+    manifest_guesses.append(f"input {tensor.name!r} is the {role}, by its name")
     fixed_dims = static_dims(tensor)
     entry = ROLES[role]
     has_free_shape = fixed_dims is not None and matching_shape(entry, fixed_dims) is not None
     has_named_axes = any(isinstance(dim, str) for shape in entry.shapes for dim in shape)
     span = (0.0, 1.0) if role == "time" or entry.needs_range else None
     if span:
-        guesses.append(f"input {tensor.name!r} has the range [0, 1]")
+        manifest_guesses.append(f"input {tensor.name!r} has the range [0, 1]")
     return Input(
         name=tensor.name,
         role=role,
@@ -114,17 +120,17 @@ def _last_dim(tensor: Tensor) -> int:
     return dim if isinstance(dim, int) else 0
 
 
-def _gaussians(graph: Graph, guesses: list[str]) -> GaussiansOutput | None:
+def _gaussians(graph: Graph, manifest_guesses: list[str]) -> GaussiansOutput | None:
     tensor = _find_named(graph, _GAUSSIAN_NAMES)
     packed_outputs = [tensor for tensor in graph.outputs if _last_dim(tensor) == ROW_LENGTH]
     if tensor is None and len(packed_outputs) == 1:
         tensor = packed_outputs[0]
     if tensor is None:
-        guesses.append(
+        manifest_guesses.append(
             f"no output is named like packed Gaussians or is the only one ending in {ROW_LENGTH}"
         )
         return None
-    guesses.append(f"output {tensor.name!r} holds the packed Gaussians")
+    manifest_guesses.append(f"output {tensor.name!r} holds the packed Gaussians")
     first = tensor.dims[0] if tensor.dims else None
     capacity = first if isinstance(first, int) and first > 0 else _PLACEHOLDER_CAPACITY
     return GaussiansOutput(tensor.name, capacity, _float_dtype(tensor))
@@ -134,26 +140,28 @@ def _float_dtype(tensor: Tensor) -> Literal["float32", "float16"]:
     return "float16" if tensor.dtype == "float16" else "float32"
 
 
-def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
+def _appearance(graph: Graph, manifest_guesses: list[str]) -> AppearanceOutput | None:
     tensor = _find_named(graph, _COLOR_NAMES)
     if tensor is None:
-        guesses.append("no output is named like an appearance")
+        manifest_guesses.append("no output is named like an appearance")
         return None
     channels = _last_dim(tensor)
     if channels in APPEARANCE_CHANNELS["sh"] and channels != 3:
         degree = degree_of(channels // 3)
-        guesses.append(
+        manifest_guesses.append(
             f"output {tensor.name!r} holds SH of degree {degree}, by its {channels} channels"
         )
         return AppearanceOutput(tensor.name, "sh", degree)
-    guesses.append(f"output {tensor.name!r} holds raw RGB, by its {channels or '?'} channels")
+    manifest_guesses.append(
+        f"output {tensor.name!r} holds raw RGB, by its {channels or '?'} channels"
+    )
     return AppearanceOutput(tensor.name, "rgb")
 
 
-def _count(graph: Graph, guesses: list[str]) -> CountOutput | None:
+def _count(graph: Graph, manifest_guesses: list[str]) -> CountOutput | None:
     tensor = _find_named(graph, _COUNT_NAMES)
     if tensor is None:
-        guesses.append("no output is named like a row count")
+        manifest_guesses.append("no output is named like a row count")
         return None
-    guesses.append(f"output {tensor.name!r} is the number of live rows")
+    manifest_guesses.append(f"output {tensor.name!r} is the number of live rows")
     return CountOutput(tensor.name)

@@ -148,11 +148,11 @@ def _covered_bytes(folder: Path, location: str, ranges: list[tuple[int, int]]) -
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
     except (OSError, ValueError):  # a rule reports it
         return 0
-    total = end_reached = 0
+    total = covered_end = 0
     for start, end in sorted(ranges):
-        start, end = max(start, end_reached), min(end, size)
+        start, end = max(start, covered_end), min(end, size)
         total += max(0, end - start)
-        end_reached = max(end_reached, end)
+        covered_end = max(covered_end, end)
     return total
 
 
@@ -172,8 +172,8 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     proto = _parse(path, stripped_model.data)
     parts = list(bodies(proto))
     _check_texts(path, proto, parts)
-    detached = list(_detach_external_weights(parts))
-    external = tuple(ref for ref, _ in detached)
+    detached_weights = list(_detach_external_weights(parts))
+    external = tuple(ref for ref, _ in detached_weights)
     whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
     return ModelFile(
         path=path,
@@ -181,7 +181,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
         proto=proto,
         stripped_bytes=stripped_model.stripped_bytes,
         external=external,
-        external_tensors=tuple(tensor for _, tensor in detached),
+        external_tensors=tuple(tensor for _, tensor in detached_weights),
         whole=whole,
     )
 

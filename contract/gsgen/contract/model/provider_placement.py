@@ -167,7 +167,7 @@ def _placement_cause(
     node: NodeProto,
     variant: str,
     dtype: str,
-    failing: dict[str, str],
+    cause_by_failing_node: dict[str, str],
     tables: Sequence[OperatorTable],
 ) -> Cause:
     if "int64" in (dtype, variant.removeprefix("to ")):
@@ -175,7 +175,7 @@ def _placement_cause(
     other_opsets = [
         table.opset_with_kernel(node.op_type, variant, dtype)
         for table in tables
-        if table.runtime in failing
+        if table.runtime in cause_by_failing_node
     ]
     if all(opset is not None for opset in other_opsets):
         return "opset"

@@ -48,7 +48,7 @@ def operators_changed_since(proto: ModelProto, opset: int) -> tuple[str, ...]:
     declared = declared_opset(proto)
     if declared is None:
         return ()
-    changed: dict[str, None] = {}
+    changed_operators: dict[str, None] = {}
     for node in _nodes(proto):
         if node.domain not in MAIN_DOMAIN:
             continue
@@ -57,8 +57,8 @@ def operators_changed_since(proto: ModelProto, opset: int) -> tuple[str, ...]:
         except onnx.defs.SchemaError:
             since = declared
         if since > opset or declared > onnx.defs.onnx_opset_version():
-            changed[node.op_type] = None
-    return tuple(changed)
+            changed_operators[node.op_type] = None
+    return tuple(changed_operators)
 
 
 def lower_ir_version_hint(proto: ModelProto, most: int) -> str:
@@ -74,14 +74,14 @@ def lower_ir_version_hint(proto: ModelProto, most: int) -> str:
 
 def lower_opset_hint(proto: ModelProto, opset: int) -> str:
     """Return how to lower the operator set of a model to ``opset``."""
-    changed = operators_changed_since(proto, opset)
-    if not changed:
+    changed_operators = operators_changed_since(proto, opset)
+    if not changed_operators:
         return (
             f"Declare operator set {opset}: the model has no operator that changed since. "
             "`gsgen fix MODEL -o COPY` does it."
         )
     return (
-        f"Export at operator set {opset} or lower, such as 18: {', '.join(changed[:5])} changed "
+        f"Export at operator set {opset} or lower, such as 18: {', '.join(changed_operators[:5])} changed "
         "since."
     )
 

@@ -57,7 +57,7 @@ class DrawnSample:
         indices: The numbers of the rows of all patches in the output, [n].
         rows: Packed rows of all patches, [n, 10].
         color: Their appearance, [n, c]; None if it cannot be read.
-        inner: Indices into ``rows`` of the rows that are measured, [m].
+        inner_indices: Indices into ``rows`` of the rows that are measured, [m].
         neighbours: For each of them the nearest other rows, nearest first, [m, k].
         count: Number of drawn rows of the probe.
     """
@@ -68,7 +68,7 @@ class DrawnSample:
     indices: Int[np.ndarray, " n"]
     rows: Float[np.ndarray, "n 10"]
     color: Float[np.ndarray, "n c"] | None
-    inner: Int[np.ndarray, " m"]
+    inner_indices: Int[np.ndarray, " m"]
     neighbours: Int[np.ndarray, "m k"]
     count: int
 
@@ -76,7 +76,7 @@ class DrawnSample:
     def offsets(self) -> Float[np.ndarray, "m k 3"]:
         """The vectors from each sampled Gaussian to its nearest neighbours, in scene units."""
         position = self.rows[:, POSITION]
-        return np.asarray(position[self.neighbours] - position[self.inner][:, None])
+        return np.asarray(position[self.neighbours] - position[self.inner_indices][:, None])
 
     @cached_property
     def spacing(self) -> Float[np.ndarray, " m"]:
@@ -86,7 +86,7 @@ class DrawnSample:
 
     @cached_property
     def _variances_and_axes(self) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
-        variances, axes = np.linalg.eigh(symmetric(self.rows[self.inner][:, COVARIANCE]))
+        variances, axes = np.linalg.eigh(symmetric(self.rows[self.inner_indices][:, COVARIANCE]))
         return np.maximum(variances, 0.0), axes
 
     @property
@@ -132,16 +132,16 @@ def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
     packed_rows = emission.gaussians
     if packed_rows is None or emission.zeros:
         return None
-    drawn = np.flatnonzero(_drawn_mask(emission))
-    if len(drawn) < MIN_DRAWN_ROWS:
+    drawn_indices = np.flatnonzero(_drawn_mask(emission))
+    if len(drawn_indices) < MIN_DRAWN_ROWS:
         return None
-    even_indices = drawn[:: -(-len(drawn) // _MAX_EVEN_ROWS)]
-    patches = _position_patches(packed_rows[:, POSITION][drawn].astype(np.float32))
-    member_indices, inner, neighbours, start = [], [], [], 0
+    even_indices = drawn_indices[:: -(-len(drawn_indices) // _MAX_EVEN_ROWS)]
+    patches = _position_patches(packed_rows[:, POSITION][drawn_indices].astype(np.float32))
+    member_indices, inner_indices, neighbours, start = [], [], [], 0
     for patch, measured_count in patches:
-        position = packed_rows[:, POSITION][drawn[patch]].astype(np.float64)
-        member_indices.append(drawn[patch])
-        inner.append(start + np.arange(measured_count))
+        position = packed_rows[:, POSITION][drawn_indices[patch]].astype(np.float64)
+        member_indices.append(drawn_indices[patch])
+        inner_indices.append(start + np.arange(measured_count))
         neighbours.append(start + _nearest_rows(position, measured_count))
         start += len(patch)
     indices = np.concatenate(member_indices)
@@ -152,9 +152,9 @@ def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
         indices=indices,
         rows=packed_rows[indices].astype(np.float64),
         color=_colors(emission, indices),
-        inner=np.concatenate(inner),
+        inner_indices=np.concatenate(inner_indices),
         neighbours=np.concatenate(neighbours),
-        count=len(drawn),
+        count=len(drawn_indices),
     )
 
 
@@ -234,7 +234,7 @@ def fit_local_rotations(
         later_rows: The same rows of the second run, in the order of ``sample.rows``, float64.
     """
     position = later_rows[:, POSITION]
-    a, b = sample.offsets, position[sample.neighbours] - position[sample.inner][:, None]
+    a, b = sample.offsets, position[sample.neighbours] - position[sample.inner_indices][:, None]
     left, singular_values, right = np.linalg.svd(b.transpose(0, 2, 1) @ a)
     sign = np.sign(np.linalg.det(left @ right))
     left[:, :, 2] *= np.where(sign == 0, 1, sign)[:, None]

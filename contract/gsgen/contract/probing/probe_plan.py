@@ -63,12 +63,14 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     count = _affordable_probes(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     base = len(first) - 1 if len(first) == 1 else 1
-    away_probes = tuple(turned_away_probes(manifest, first[base]))
-    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if away_probes else {}
+    probes_turned_away = tuple(turned_away_probes(manifest, first[base]))
+    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if probes_turned_away else {}
     if level < Level.BEHAVIOUR:
-        return Plan(probes=(*first, *away_probes), values=len(first), trials=trials, seed=seed)
-    repeated_count = len(first) + len(away_probes)
-    probes = [*first, *away_probes, first[base], first[base]]
+        return Plan(
+            probes=(*first, *probes_turned_away), values=len(first), trials=trials, seed=seed
+        )
+    repeated_count = len(first) + len(probes_turned_away)
+    probes = [*first, *probes_turned_away, first[base], first[base]]
     other_probes = (first[-1], first[len(first) // 2])[: _affordable_variants(subject, count)]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
     for role, changed_probes in dependency_probes(manifest, first[base], other_probes):

@@ -178,11 +178,11 @@ def execute(
         try:
             _write_job(folder, loading_path, outputs, probes, limits, **options)
             start_time = time.monotonic()
-            ended = _run_child(folder, limits.seconds, worker)
+            process_end = _run_child(folder, limits.seconds, worker)
         except OSError as error:
             raise _spool_failed_error(folder, error.strerror or str(error)) from error
         seconds = time.monotonic() - start_time
-        yield _collect_results(folder, ended, seconds, limits, is_own=worker == _WORKER)
+        yield _collect_results(folder, process_end, seconds, limits, is_own_model=worker == _WORKER)
 
 
 def _spool_failed_error(folder: Path, reason: str) -> HostProcessFailed:
@@ -270,7 +270,7 @@ def _stop_child(child: "subprocess.Popen[bytes]") -> None:
 
 
 def _collect_results(
-    folder: Path, ended: _ProcessEnd, seconds: float, limits: Limits, *, is_own: bool
+    folder: Path, process_end: _ProcessEnd, seconds: float, limits: Limits, *, is_own_model: bool
 ) -> Execution:
     events = _read_events(folder / "events.jsonl")
     runs = tuple(
@@ -298,9 +298,11 @@ def _collect_results(
         if event["event"] == "sample"
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
-    if ended.host_fault:
-        raise _spool_failed_error(folder, ended.host_fault.strip())
-    fault = _read_fault_report(events, ended.status, limits, folder / "log", is_own=is_own)
+    if process_end.host_fault:
+        raise _spool_failed_error(folder, process_end.host_fault.strip())
+    fault = _read_fault_report(
+        events, process_end.status, limits, folder / "log", is_own_model=is_own_model
+    )
     return Execution(
         runs=runs,
         samples=samples,
@@ -349,16 +351,16 @@ def _read_fault_report(
     limits: Limits,
     log_path: Path,
     *,
-    is_own: bool,
+    is_own_model: bool,
 ) -> Fault | None:
-    """Return why a model did not run to the end; ``is_own`` for the worker of this module.
+    """Return why a model did not run to the end; ``is_own_model`` for the worker of this module.
 
     Raises:
         HostProcessFailed: This machine ended the process.
     """
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
     from gsgen.contract.model.load_failures import explain_load_failure
-    from gsgen.contract.process.child_status import death_of, memory_refused
+    from gsgen.contract.process.child_status import classify_child_end, memory_refused
 
     run_events = (event for event in reversed(events) if event["event"] in ("begin", "run"))
     begin_event = next(run_events, last)
@@ -372,11 +374,11 @@ def _read_fault_report(
         fault = Fault(last["stage"], failure.cause, last.get("probe"), failure.hint)
     else:
         log = log_path.read_text("utf-8", errors="replace")
-        death = death_of(status or 0, log, limits)
-        has_started = any(event["event"] == "started" for event in events) or not is_own
-        if death.stage == "host" or not has_started:
-            raise HostProcessFailed(f"the process that runs the model ended: {death.message}")
-        fault = Fault(death.stage, death.message, probe)
+        child_death = classify_child_end(status or 0, log, limits)
+        has_started = any(event["event"] == "started" for event in events) or not is_own_model
+        if child_death.stage == "host" or not has_started:
+            raise HostProcessFailed(f"the process that runs the model ended: {child_death.message}")
+        fault = Fault(child_death.stage, child_death.message, probe)
     host_limit = inherited_memory_limit()
     if fault.stage in ("memory", "crash") and host_limit < limits.memory:
         raise memory_refused(limits.memory, host_limit, fault.message)

@@ -1,6 +1,6 @@
 """Why a child process ended: by a fault of the model that it ran, or of this machine."""
 
-__all__ = ["ChildDeath", "death_of", "memory_refused", "signal_name"]
+__all__ = ["ChildDeath", "classify_child_end", "memory_refused", "signal_name"]
 
 import signal
 from typing import Final, Literal, NamedTuple
@@ -24,7 +24,7 @@ class ChildDeath(NamedTuple):
     stage: Literal["time", "memory", "crash", "host"]
 
 
-def death_of(status: int, log: str, limits: Limits) -> ChildDeath:
+def classify_child_end(status: int, log: str, limits: Limits) -> ChildDeath:
     """Return why a child process ended by itself or by a signal that its parent did not send.
 
     Args:

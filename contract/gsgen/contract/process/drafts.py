@@ -38,11 +38,11 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
         OSError: The folder cannot be made.
     """
     prefix = "gsgen-" if parent is None else ".gsgen-"
-    holder = Path(tempfile.gettempdir()) if parent is None else parent.absolute()
-    if holder not in _cleaned_draft_folders:
-        _cleaned_draft_folders.add(holder)
-        sweep_drafts(holder)
-    draft = _make_locked_draft(holder, prefix)
+    holding_folder = Path(tempfile.gettempdir()) if parent is None else parent.absolute()
+    if holding_folder not in _cleaned_draft_folders:
+        _cleaned_draft_folders.add(holding_folder)
+        sweep_drafts(holding_folder)
+    draft = _make_locked_draft(holding_folder, prefix)
     try:
         yield draft
     finally:
@@ -69,9 +69,9 @@ def remove_own_drafts() -> None:
         _remove(draft)
 
 
-def _make_locked_draft(holder: Path, prefix: str) -> Path:
+def _make_locked_draft(holding_folder: Path, prefix: str) -> Path:
     while True:
-        draft = holder / f"{prefix}{secrets.token_hex(8)}.part"
+        draft = holding_folder / f"{prefix}{secrets.token_hex(8)}.part"
         draft.mkdir(mode=0o700)
         try:
             descriptor = _lock(draft)

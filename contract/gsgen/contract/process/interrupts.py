@@ -7,7 +7,7 @@ drafts and ending its children, and do nothing at all to the first process of a 
 raise a KeyboardInterrupt, too.
 """
 
-__all__ = ["ENDING_SIGNALS", "InterruptHandler", "Terminated", "ending_at_interrupts"]
+__all__ = ["ENDING_SIGNALS", "InterruptHandler", "Terminated", "end_on_interrupt"]
 
 import os
 import signal
@@ -52,7 +52,7 @@ class InterruptHandler:
 
 
 @contextmanager
-def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptHandler]:
+def end_on_interrupt(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptHandler]:
     """Raise KeyboardInterrupt at Ctrl-C, SIGTERM and SIGHUP; end the process if it goes on.
 
     The timer keeps running after the block, since Python waits for threads at exit. Its end removes
@@ -75,13 +75,15 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[InterruptH
     previous_fd = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
     watch_thread.start()
     raise_terminated = _raise_once_handler()
-    handled = [number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
-    for number in handled:
+    handled_signals = [
+        number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL
+    ]
+    for number in handled_signals:
         signal.signal(number, raise_terminated)
     try:
         yield interrupts
     finally:
-        for number in handled:
+        for number in handled_signals:
             signal.signal(number, signal.SIG_DFL)
         signal.set_wakeup_fd(previous_fd)
         os.write(write_end, _WATCHER_STOP_BYTE)

@@ -58,12 +58,12 @@ def restrict_files(
         OSError: The kernel refuses it.
     """
     kernel_version = version()
-    handled = next(
+    handled_rights = next(
         _FILE_RIGHTS_BY_VERSION[v]
         for v in sorted(_FILE_RIGHTS_BY_VERSION, reverse=True)
         if v <= kernel_version
     )
-    fields = [handled, _NETWORK, _SOCKET_AND_SIGNAL_SCOPES]
+    fields = [handled_rights, _NETWORK, _SOCKET_AND_SIGNAL_SCOPES]
     field_count = 3 if kernel_version >= 6 else 2 if kernel_version >= 4 else 1
     attributes = struct.pack(f"={field_count}Q", *fields[:field_count])
     ruleset = _call(_CREATE_RULESET_SYSCALL, attributes, len(attributes), 0)
@@ -71,8 +71,8 @@ def restrict_files(
         device_rights = _READ_ACCESS | _WRITE_FILE | _TRUNCATE_FILE | _DEVICE_CONTROL
         for paths, rights in (
             (readable, _READ_ACCESS),
-            (writable, handled & ~_EXECUTE_FILE & ~_DEVICE_CONTROL),
-            (devices, device_rights & handled),
+            (writable, handled_rights & ~_EXECUTE_FILE & ~_DEVICE_CONTROL),
+            (devices, device_rights & handled_rights),
         ):
             for path in paths:
                 _allow_path(ruleset, path, rights)

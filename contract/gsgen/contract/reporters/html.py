@@ -66,7 +66,7 @@ def _report_section(entry: Entry, number: int) -> str:
     head = f'<section id="model-{number}"><h2>{for_html(entry.path)} {_verdict(entry)}</h2>'
     if isinstance(entry, Unreadable):
         return f"{head}<pre>{for_html(str(entry.error))}</pre></section>"
-    counted = [finding for finding in entry.findings if finding.counts]
+    counted_findings = [finding for finding in entry.findings if finding.counts]
     remaining = [finding for finding in entry.findings if not finding.counts]
     parts = [
         head,
@@ -74,7 +74,7 @@ def _report_section(entry: Entry, number: int) -> str:
         _facts_html(entry),
         _picture(entry.picture),
         *(_unchecked_html(outcome) for outcome in entry.unchecked),
-        *(_finding_html(finding, entry) for finding in counted),
+        *(_finding_html(finding, entry) for finding in counted_findings),
     ]
     if remaining:
         finding_cards = "".join(_finding_html(finding, entry) for finding in remaining)

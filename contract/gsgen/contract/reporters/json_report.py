@@ -191,7 +191,7 @@ def _example_entry(example: Example) -> ExampleEntry:
 def _cause_entry(cause: Cause, report: Report) -> CauseEntry:
     id = cause.outcome.rule.id
     fingerprints = tuple(finding.fingerprint for finding in report.findings if finding.rule == id)
-    blocked_ids = tuple(rule.id for rule in cause.blocked)
+    blocked_ids = tuple(rule.id for rule in cause.blocked_rules)
     return CauseEntry(id, cause.outcome.status, fingerprints, blocked_ids)
 
 

@@ -73,13 +73,13 @@ def _add_result(
             SubElement(case, "failure", message=reason, type="required")
         else:
             SubElement(case, "skipped", message=reason)
-    failing = [finding for finding in findings if report.fails_by(finding)]
+    failing_findings = [finding for finding in findings if report.fails_by(finding)]
     remaining = [finding for finding in findings if not report.fails_by(finding)]
-    if failing and outcome.status != "crashed":
-        first = printable(f"{failing[0].where}: {failing[0].message}")
+    if failing_findings and outcome.status != "crashed":
+        first = printable(f"{failing_findings[0].where}: {failing_findings[0].message}")
         failure = SubElement(case, "failure", message=first)
-        failure.set("type", failing[0].severity.word)
-        failure.text = "\n\n".join(map(_finding_text, failing))
+        failure.set("type", failing_findings[0].severity.word)
+        failure.text = "\n\n".join(map(_finding_text, failing_findings))
     if remaining:
         SubElement(case, "system-out").text = "\n\n".join(map(_finding_text, remaining))
 

@@ -44,11 +44,11 @@ def _summary_table(entries: Sequence[Entry]) -> str:
 def _section(entry: Entry) -> str:
     if isinstance(entry, Unreadable):
         return f"### {_UNREADABLE_STATUS_EMOJI} {code(entry.path)}\n\n{code(str(entry.error))}"
-    introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
+    section_introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
     parts = [
         f"### {_VERDICT_SIGNS[entry.verdict]} {code(entry.path)}",
         f"**{for_markdown(verdict_line(entry))}**",
-        introduction,
+        section_introduction,
     ]
     causes = {cause.outcome.rule.id: cause for cause in entry.causes}
     items = []
@@ -56,7 +56,7 @@ def _section(entry: Entry) -> str:
     for rule, findings in groupby(counted, lambda finding: finding.rule):
         items += [_finding(finding) for finding in findings]
         if rule in causes:
-            blocked_rules = causes[rule].blocked
+            blocked_rules = causes[rule].blocked_rules
             names = ", ".join(blocked_rule.id for blocked_rule in blocked_rules)
             rules = plural(len(blocked_rules), "rule")
             items.append(f"  - so {rules} could not be checked: {names}")

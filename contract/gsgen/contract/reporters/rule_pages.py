@@ -51,7 +51,7 @@ def _published_docs() -> str:
 
 def page(rule: Rule, registry: Registry, example: str) -> str:
     """Return the Markdown documentation page of ``rule``; ``example`` is a model that breaks it."""
-    facts = [
+    rule_facts = [
         ("severity", rule.severity.word),
         ("level", rule.level.word),
         ("applies to", ", ".join(rule.kinds)),
@@ -59,9 +59,9 @@ def page(rule: Rule, registry: Registry, example: str) -> str:
         ("needs", ", ".join(f"{id} {registry.rules[id].slug}" for id in rule.needs)),
         ("example that breaks it", f"`{example}`" if example else ""),
     ]
-    fact_lines = "\n".join(f"- {name}: {value}" for name, value in facts if value)
+    rule_fact_lines = "\n".join(f"- {name}: {value}" for name, value in rule_facts if value)
     text = (
-        f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{fact_lines}\n\n"
+        f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{rule_fact_lines}\n\n"
         f"## Why\n\n{rule.rationale}\n\n## How to repair it\n\n{rule.hint}\n"
     )
     return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text

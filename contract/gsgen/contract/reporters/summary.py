@@ -24,8 +24,8 @@ def verdict_line(report: Report) -> str:
     for severity in reversed(Severity):
         count = report.count(severity)
         if count:
-            counted_noun = plural(count, severity.word)
-            parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
+            severity_count_text = plural(count, severity.word)
+            parts.append(f"{count} info" if severity is Severity.INFO else severity_count_text)
     if report.unchecked:
         parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
     parts += _uncounted_rule_texts(report)

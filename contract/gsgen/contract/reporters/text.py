@@ -1,6 +1,6 @@
 """Text report for terminals: findings with locations, numbers, consequences and hints."""
 
-__all__ = ["Line", "brief_line", "finding_lines", "render", "render_all"]
+__all__ = ["Line", "brief_report_line", "finding_lines", "render", "render_all"]
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -37,11 +37,11 @@ def render_all(
     lines: list[Line] = []
     for entry in entries:
         if isinstance(entry, Report):
-            lines += [brief_line(entry)] if quiet else render(entry, verbose=verbose)
+            lines += [brief_report_line(entry)] if quiet else render(entry, verbose=verbose)
     return [*lines, Line(summary_line(entries), "bold")] if len(entries) > 1 else lines
 
 
-def brief_line(report: Report) -> Line:
+def brief_report_line(report: Report) -> Line:
     """Return a model's path and whether the model conforms, in one line."""
     return Line(printable(f"{report.path}: {verdict_line(report)}"), _verdict(report).style)
 
@@ -154,10 +154,10 @@ def _location_lines(finding: Finding) -> list[Line]:
 
 
 def _cause_lines(cause: Cause, *, verbose: bool) -> list[Line]:
-    blocked_text = f"so {plural(len(cause.blocked), 'rule')} could not be checked"
-    if len(cause.blocked) > _MAX_BLOCKED_RULES and not verbose:
+    blocked_text = f"so {plural(len(cause.blocked_rules), 'rule')} could not be checked"
+    if len(cause.blocked_rules) > _MAX_BLOCKED_RULES and not verbose:
         return _wrap_text(f"{blocked_text}, which `gsgen validate -v` lists")
-    return _wrap_text(f"{blocked_text}: {', '.join(rule.id for rule in cause.blocked)}")
+    return _wrap_text(f"{blocked_text}: {', '.join(rule.id for rule in cause.blocked_rules)}")
 
 
 def _wrap_text(text: str) -> list[Line]:

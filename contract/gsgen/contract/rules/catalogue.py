@@ -10,7 +10,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 
-from gsgen.contract._entry_points import foreign_code, registered_entry_points, short_repr
+from gsgen.contract._entry_points import plugin_exits_as_errors, registered_entry_points, short_repr
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import (
@@ -130,7 +130,7 @@ def installed_rules() -> Registry:
     backends: list[LevelBackend] = []
     for number, point in enumerate(registered_entry_points("gsgen.rules")):
         try:
-            with foreign_code():
+            with plugin_exits_as_errors():
                 loaded_rules, loaded_backends = _load(point)
                 # Raises if an id or a level is already taken.
                 Registry.from_rules([*rules, *loaded_rules], [*backends, *loaded_backends])

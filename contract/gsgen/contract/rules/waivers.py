@@ -24,7 +24,7 @@ def waiver_matches(review: Review) -> Iterator[Violation]:
     for waiver in review.waivers:
         if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in ("pass", "fail"):
             continue  # without a check, the fault may still be there
-        matches_finding = any(waiver.covers(finding) for finding in review.findings)
+        matches_finding = any(waiver.is_waiver_of(finding) for finding in review.findings)
         location = f"waiver of {waiver}"
         if not matches_finding:
             yield Violation.at(location, "no matching finding", "a finding that the waiver covers")

@@ -99,8 +99,8 @@ def smallest_eigenvalue(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, " 
         (zz - mean) / nonzero_spread,
     )
     d, e, f = xy / nonzero_spread, xz / nonzero_spread, yz / nonzero_spread
-    half_det = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
-    angle = np.arccos(np.clip(half_det, -1, 1)) / 3
+    half_determinant = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
+    angle = np.arccos(np.clip(half_determinant, -1, 1)) / 3
     return np.asarray(mean + 2 * spread * np.cos(angle + 2 * np.pi / 3))
 
 

@@ -251,7 +251,10 @@ def _complaint_from_fault(fault: SchemaFault) -> ManifestComplaint:
     if fault.validator == "enum":
         options = ", ".join(str(option) for option in fault.validator_value)
         return ManifestComplaint("schema", where, _shorten(fault.instance), f"one of {options}")
-    detail = f"{fault.validator} {fault.validator_value}"
+    fault_detail = f"{fault.validator} {fault.validator_value}"
     return ManifestComplaint(
-        "schema", where, _shorten(fault.instance), f"{expected} ({detail})" if expected else detail
+        "schema",
+        where,
+        _shorten(fault.instance),
+        f"{expected} ({fault_detail})" if expected else fault_detail,
     )

@@ -9,7 +9,7 @@ from importlib import resources
 from importlib.metadata import EntryPoint
 from typing import Any, ClassVar
 
-from gsgen.contract._entry_points import foreign_code, registered_entry_points, short_repr
+from gsgen.contract._entry_points import plugin_exits_as_errors, registered_entry_points, short_repr
 from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.spec.severity import Severity
 
@@ -120,7 +120,7 @@ def known_targets() -> dict[str, Target]:
 def _load_entry_point(point: EntryPoint) -> Target:
     where = f"target {point.name} = {point.value}"
     try:
-        with foreign_code():
+        with plugin_exits_as_errors():
             loaded: Any = point.load()
             target = loaded() if callable(loaded) else loaded
     except Exception as error:  # a third party's code may fail in any way

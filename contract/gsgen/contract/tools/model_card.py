@@ -41,8 +41,8 @@ def model_card(report: Report, manifest: Manifest, file: str, picture: str = "")
     sections = ["\n".join(front_matter), title]
     if picture:
         probe = report.picture.probe if report.picture else ""
-        alt = for_markdown(f"The model drawn at the probe {probe}")
-        sections.append(f"![{alt}]({quote(picture)})")
+        alt_text = for_markdown(f"The model drawn at the probe {probe}")
+        sections.append(f"![{alt_text}]({quote(picture)})")
     sections.append(summary)
     if producer:
         source = f" from {code(producer.source)}" if producer.source else ""

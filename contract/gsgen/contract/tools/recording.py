@@ -22,7 +22,7 @@ import numpy as np
 
 from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, GsgenError
-from gsgen.contract.model.files_beside import contained_file
+from gsgen.contract.model.files_beside import find_contained_file
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import ModelFile, open_model, write_manifest_text
 from gsgen.contract.probing.probes import Probe
@@ -40,16 +40,16 @@ class RecordingRefused(GsgenError):
     """Raised if outputs cannot be recorded in a manifest: no manifest, or an invalid model."""
 
 
-def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) -> None:
+def refuse_existing(existing_files: Sequence[Path], folder: Path, alternative: str) -> None:
     """Raise if an earlier recording in the model's manifest would be overwritten.
 
     Args:
-        existing: Files of the earlier recording.
+        existing_files: Files of the earlier recording.
         folder: Their folder.
         alternative: The option to change instead of using --force, for the hint.
     """
-    if existing:
-        message = f"the folder already holds {existing[0].name}"
+    if existing_files:
+        message = f"the folder already holds {existing_files[0].name}"
         hint = f"Name another {alternative}, or replace them with --force."
         raise ConfigInvalid(message, where=str(folder), hint=hint)
 
@@ -129,7 +129,7 @@ def write_recorded_copy(
     try:
         with atomic_write(model) as draft:
             for location in dict.fromkeys(ref.location for ref in file.external):
-                weights = contained_file(file.path, location)
+                weights = find_contained_file(file.path, location)
                 if (model.parent / location).resolve() != weights.resolve():
                     copy = draft.parent / location
                     copy.parent.mkdir(parents=True, exist_ok=True)

@@ -111,9 +111,9 @@ def record_vectors(
     """
     settings = settings or Settings()
     model = model or folder / MODEL_FILE_NAME
-    existing = [path for path in _list_folder(folder) if _SET_NAME.match(path.name)]
+    existing_vector_files = [path for path in _list_folder(folder) if _SET_NAME.match(path.name)]
     if not force:
-        refuse_existing(existing, folder, "folder")
+        refuse_existing(existing_vector_files, folder, "folder")
     progress(f"reading {source.name}")
     subject = _model_without_vectors(source, settings)
     probes = _selected_probes(make_plan(subject, Level.VALUES, seed).probes, count)
@@ -135,7 +135,7 @@ def record_vectors(
         }
         with write_recorded_copy(subject.file, changed_document, model):
             pass
-        for path in existing:
+        for path in existing_vector_files:
             _remove_path(path)
         for staged_path in sorted(stage.iterdir()):
             staged_path.replace(folder / staged_path.name)

@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from gsgen.contract._entry_points import foreign_code
+from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.errors import HostProcessFailed
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
@@ -195,11 +195,13 @@ class _Validation:
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
         else:
-            gate = next(rule for rule in prerequisite_rules if rule.id in (MODEL_RUNS, *runs.needs))
-            gate_is_ready = self.results.is_ready(
-                gate
+            gate_rule = next(
+                rule for rule in prerequisite_rules if rule.id in (MODEL_RUNS, *runs.needs)
+            )
+            is_gate_rule_ready = self.results.is_ready(
+                gate_rule
             )  # its needs are static rules, which are settled
-            reason = "" if gate_is_ready else self.results.outcomes[gate.id].reason
+            reason = "" if is_gate_rule_ready else self.results.outcomes[gate_rule.id].reason
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 message = f"the model was not run {reason}" if reason else ""
@@ -266,7 +268,7 @@ class _Validation:
             if self.results.is_ready(rule):
                 rule_behaviour = behaviour.without_unfinished()
                 self.results.check(rule, rule_behaviour)
-                if rule_behaviour.unfinished_probes and not self.results.fails(rule):
+                if rule_behaviour.unfinished_probes and not self.results.has_failing_finding(rule):
                     self.results.skip(
                         [rule], self._unfinished_reason(rule_behaviour.unfinished_probes)
                     )
@@ -301,7 +303,7 @@ class _Validation:
     ) -> None:
         with ExitStack() as stack:
             try:
-                with foreign_code():
+                with plugin_exits_as_errors():
                     context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
                 self.levels.append(

@@ -35,7 +35,7 @@ class FindingCounter:
         worst: The worst row so far.
         magnitude: The magnitude of the worst row.
         min_fraction: The rule fails only above this fraction of invalid rows.
-        by_rows: Rows are counted, not single values.
+        counts_by_rows: Rows are counted, not single values.
         truncated: The counter also holds violations at further locations.
         statistic: The number that the rule compared first.
         hint: The first hint of a violation; empty for that of the rule.
@@ -52,7 +52,7 @@ class FindingCounter:
     magnitude: float = -np.inf
     min_fraction: float = 0.0
     certainty: Certainty = "confirmed"
-    by_rows: bool = False
+    counts_by_rows: bool = False
     truncated: bool = False
     statistic: Statistic | None = None
     hint: str = ""
@@ -69,7 +69,7 @@ class FindingCounter:
             if len(self.examples) < _MAX_EXAMPLES:
                 self.examples.append(Example(violation.actual, None, probe))
             return
-        self.by_rows = True
+        self.counts_by_rows = True
         count = int(np.count_nonzero(violation.invalid_rows))
         if count:
             self.count += count
@@ -120,7 +120,7 @@ class FindingCounter:
 
     def message(self) -> str:
         """The finding's actual and expected value in one line."""
-        if not self.by_rows:
+        if not self.counts_by_rows:
             suffix = f" (and {self.count - 1} more like it)" if self.count > 1 else ""
             probe = f" ({self.examples[0].probe})" if self.examples[0].probe else ""
             return f"{self.actual}{probe}{suffix}; expected {self.expected}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gsgen.contract._entry_points import foreign_code
+from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter
@@ -52,11 +52,11 @@ class ResultCollector:
             self.outcomes[rule.id] = Outcome(rule=rule, status="not-applicable", reason=reason)
             return False
         for needed_rule in rule.needs:
-            blocker = self._blocking_rule(needed_rule)
-            if blocker:
-                text = f"because {blocker} {self._blocking_reason(blocker)}"
+            blocking_rule_id = self._blocking_rule(needed_rule)
+            if blocking_rule_id:
+                text = f"because {blocking_rule_id} {self._blocking_reason(blocking_rule_id)}"
                 self.outcomes[rule.id] = Outcome(
-                    rule=rule, status="not-applicable", reason=text, blocked_by=blocker
+                    rule=rule, status="not-applicable", reason=text, blocked_by=blocking_rule_id
                 )
                 return False
         return True
@@ -79,8 +79,8 @@ class ResultCollector:
             needed_rule if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
         )
 
-    def _blocking_reason(self, blocker: str) -> str:
-        outcome = self.outcomes.get(blocker)
+    def _blocking_reason(self, blocking_rule_id: str) -> str:
+        outcome = self.outcomes.get(blocking_rule_id)
         is_skipped = outcome is not None and outcome.status == "skipped"
         return "was not checked" if is_skipped else "does not hold"
 
@@ -88,7 +88,10 @@ class ResultCollector:
         """Run the check of a rule once, and count its violations; return False if it crashed."""
         start_time = time.perf_counter()
         try:
-            with foreign_code(), np.errstate(all="ignore"):  # outputs may hold NaN and infinity
+            with (
+                plugin_exits_as_errors(),
+                np.errstate(all="ignore"),
+            ):  # outputs may hold NaN and infinity
                 for violation in rule.check(subject):
                     self._add(rule, violation, probe, start)
         except Exception:  # a faulty rule must not prevent the report
@@ -114,16 +117,19 @@ class ResultCollector:
             )
         counters[key].add(violation, probe, start)
 
-    def fails(self, rule: Rule) -> bool:
+    def has_failing_finding(self, rule: Rule) -> bool:
         """Return whether the violations so far are enough for a validation rule to fail."""
-        return any(counter.fails for counter in self._counters_by_rule.get(rule.id, {}).values())
+        return any(
+            counter.has_failing_finding
+            for counter in self._counters_by_rule.get(rule.id, {}).values()
+        )
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
         """Convert the counted violations of checked validation rules to pass or fail outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
-            status: Status = "fail" if self.fails(rule) else "pass"
+            status: Status = "fail" if self.has_failing_finding(rule) else "pass"
             milliseconds = 1000 * self._seconds_by_rule.get(rule.id, 0.0)
             self.outcomes[rule.id] = Outcome(
                 rule=rule, status=status, milliseconds=milliseconds, items=items
@@ -152,10 +158,10 @@ class ResultCollector:
             return
         for rule in self.registry.rules.values():
             settling_outcomes = [self.outcomes.get(id) for id in rule.settled_by]
-            holds = all(
+            is_prediction_confirmed = all(
                 outcome is not None and outcome.status == "pass" for outcome in settling_outcomes
             )
-            if settling_outcomes and holds and rule.id in self._counters_by_rule:
+            if settling_outcomes and is_prediction_confirmed and rule.id in self._counters_by_rule:
                 del self._counters_by_rule[rule.id]
                 reason = f"because {' and '.join(rule.settled_by)} hold: level live ran the model"
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
@@ -181,7 +187,7 @@ class ResultCollector:
             self._finding(rule, counter)
             for rule in self.registry.rules.values()
             for counter in self._counters_by_rule.get(rule.id, {}).values()
-            if counter.fails
+            if counter.has_failing_finding
         ]
         return tuple(sorted(findings, key=lambda finding: -finding.severity))
 
@@ -212,6 +218,6 @@ class ResultCollector:
 
 def _crash_text() -> str:
     """Return the end of the traceback of the exception that is being handled."""
-    with foreign_code():  # the exception's class may be a third party's
+    with plugin_exits_as_errors():  # the exception's class may be a third party's
         text = traceback.format_exc(limit=-3).strip()
     return text if len(text) <= _MAX_CRASH_CHARACTERS else f"… {text[-_MAX_CRASH_CHARACTERS:]}"

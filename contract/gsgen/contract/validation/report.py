@@ -78,7 +78,7 @@ class Cause:
     """A failed validation rule, and the rules that could not be checked because of it."""
 
     outcome: Outcome
-    blocked: tuple[Rule, ...]
+    blocked_rules: tuple[Rule, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,12 +219,12 @@ class Report:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """The failed contract rules that prevented the check of other rules, in catalogue order."""
-        blocked: dict[str, list[Rule]] = {}
+        blocked_rules: dict[str, list[Rule]] = {}
         for outcome in self.outcomes:
             if outcome.blocked_by:
-                blocked.setdefault(outcome.blocked_by, []).append(outcome.rule)
-        roots = (outcome for outcome in self.outcomes if outcome.rule.id in blocked)
-        return tuple(Cause(root, tuple(blocked[root.rule.id])) for root in roots)
+                blocked_rules.setdefault(outcome.blocked_by, []).append(outcome.rule)
+        roots = (outcome for outcome in self.outcomes if outcome.rule.id in blocked_rules)
+        return tuple(Cause(root, tuple(blocked_rules[root.rule.id])) for root in roots)
 
     @property
     def statuses(self) -> Counter[str]:
@@ -281,5 +281,5 @@ def exit_code(reports: Iterable[Report]) -> ExitCode:
     verdicts = {report.verdict for report in report_list}
     if "internal-error" in verdicts:
         return ExitCode.INTERNAL
-    failed = "invalid" in verdicts or any(report.unchecked for report in report_list)
-    return ExitCode.FAILURE if failed else ExitCode.SUCCESS
+    has_failure = "invalid" in verdicts or any(report.unchecked for report in report_list)
+    return ExitCode.FAILURE if has_failure else ExitCode.SUCCESS

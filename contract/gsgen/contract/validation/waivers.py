@@ -32,7 +32,7 @@ class Waiver:
     def __str__(self) -> str:
         return f"{self.rule} at {self.where}" if self.where else self.rule
 
-    def covers(self, finding: Finding) -> bool:
+    def is_waiver_of(self, finding: Finding) -> bool:
         """Return whether the waiver covers ``finding``, even if the waiver has expired."""
         is_location = self.where in ("", finding.where.subject, str(finding.where))
         return is_location and self.rule == finding.rule
@@ -68,10 +68,12 @@ def apply_waivers(
     findings: Iterable[Finding], waivers: Iterable[Waiver], today: date
 ) -> tuple[Finding, ...]:
     """Mark each finding that a valid waiver covers, with the reason of the waiver."""
-    active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
+    active_waivers = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
     def mark_waived(finding: Finding) -> Finding:
-        waiver = next((candidate for candidate in active if candidate.covers(finding)), None)
+        waiver = next(
+            (candidate for candidate in active_waivers if candidate.is_waiver_of(finding)), None
+        )
         return replace(finding, waived=True, waiver=waiver.reason) if waiver else finding
 
     return tuple(map(mark_waived, findings))

@@ -101,7 +101,9 @@ class AnchorNets:
     opacity: Mlp  # [feature, direction, (distance), (level)] → K
     covariance: Mlp  # same inputs → 7 K
     color: Mlp  # same inputs and an appearance → 3 K
-    bank: Mlp | None = None  # [direction, …] → 3 weights of the feature bank, if there is one
+    feature_bank: Mlp | None = (
+        None  # [direction, …] → 3 weights of the feature bank, if there is one
+    )
     # appearance of each training camera, [cameras, D]
     embedding: Float[Tensor, "cameras d"] | None = None
     level: bool = False  # whether the level is one of the inputs
@@ -213,7 +215,7 @@ def read_nets(
         direction=direction,
     )
     heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _OUTPUT_CHANNELS}
-    bank = (
+    feature_bank = (
         _read_feature_bank(states, iteration_folder, sizes)
         if _has_feature_bank(states, iteration_folder, cfg)
         else None
@@ -222,7 +224,7 @@ def read_nets(
         opacity=heads["opacity_mlp"],
         covariance=heads["cov_mlp"],
         color=heads["color_mlp"],
-        bank=bank,
+        feature_bank=feature_bank,
         embedding=embedding,
         level=level,
     )
@@ -327,12 +329,14 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
     """Describe a checkpoint of an anchor-based method in one line: sizes and networks."""
     cloud, nets = checkpoint.cloud, checkpoint.nets
     heads = {"opacity": nets.opacity, "covariance": nets.covariance, "colour": nets.color}
-    by_distance = [name for name, head in heads.items() if head.distance]
+    distance_dependent_heads = [name for name, head in heads.items() if head.distance]
     parts = [f"{len(cloud):,} anchors × {cloud.per_anchor} Gaussians", f"features of {cloud.width}"]
     if cloud.level is not None:
         parts.append(f"levels {int(cloud.level.min())} to {int(cloud.level.max())}")
-    parts += ["feature bank"] if nets.bank is not None else []
-    parts += [f"distance into {', '.join(by_distance)}"] if by_distance else []
+    parts += ["feature bank"] if nets.feature_bank is not None else []
+    parts += (
+        [f"distance into {', '.join(distance_dependent_heads)}"] if distance_dependent_heads else []
+    )
     parts += ["level into all networks"] if nets.level else []
     if nets.embedding is not None:
         parts.append(f"{len(nets.embedding)} appearances of {nets.embedding.shape[1]}")

@@ -92,7 +92,7 @@ class AnchorGenerator(GaussianGenerator):
         self.inputs = (inputs.view(), *declared)
         self.smaller = ("--cull frustum --max-anchors N",)
         self.max_anchors = selection.anchors
-        if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
+        if self.max_anchors is not None and self.cull is None and not self.can_hide_anchors:
             message = f"max_anchors is {self.max_anchors}, but no culling selects the anchors"
             hint = "Add --cull frustum."
             raise GsgenError(message, where="--max-anchors", hint=hint)
@@ -107,7 +107,7 @@ class AnchorGenerator(GaussianGenerator):
         return _Offsets(cloud)
 
     @property
-    def hides_anchors(self) -> bool:
+    def can_hide_anchors(self) -> bool:
         """Whether the published method hides anchors from some cameras, as levels of detail do."""
         return False
 

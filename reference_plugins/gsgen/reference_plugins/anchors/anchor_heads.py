@@ -82,15 +82,17 @@ class AnchorHeads(nn.Module):
         self.width = cloud.width
         heads = (nets.opacity, nets.covariance, nets.color)
         self.distance = any(head.distance for head in heads)
-        self.bank_distance = nets.bank is not None and nets.bank.distance
+        self.bank_uses_distance = nets.feature_bank is not None and nets.feature_bank.distance
         self.register_buffer("feature", cloud.feature)
         level = cloud.level[:, None] if nets.level and cloud.level is not None else None
         self.register_buffer("level", level)
         self.opacity = self._layers(nets.opacity)
         self.covariance = self._layers(nets.covariance, _COVARIANCE_CHANNELS)
         self.color = self._layers(nets.color)
-        bank = nets.bank
-        self.bank = _Layers(bank.hidden, bank, 1) if bank is not None else None
+        feature_bank = nets.feature_bank
+        self.feature_bank = (
+            _Layers(feature_bank.hidden, feature_bank, 1) if feature_bank is not None else None
+        )
         self.register_buffer("appearance_bias", self._appearance_bias(nets, appearance))
 
     @property
@@ -145,11 +147,11 @@ class AnchorHeads(nn.Module):
 
         The coarse ones are repeated (a b a b), not stretched (a a b b).
         """
-        if self.bank is None:
+        if self.feature_bank is None:
             return feature
-        extra_inputs = [views.distance] if self.bank_distance else levels
-        (weight,) = self.bank(torch.cat([views.direction, *extra_inputs], dim=1))
-        bank_shares = torch.softmax(weight, dim=1)
-        mixed_feature = feature[:, ::4].repeat(1, 4) * bank_shares[:, 0:1]
-        mixed_feature = mixed_feature + feature[:, ::2].repeat(1, 2) * bank_shares[:, 1:2]
-        return mixed_feature + feature * bank_shares[:, 2:3]
+        extra_inputs = [views.distance] if self.bank_uses_distance else levels
+        (weight,) = self.feature_bank(torch.cat([views.direction, *extra_inputs], dim=1))
+        bank_blend_weights = torch.softmax(weight, dim=1)
+        mixed_feature = feature[:, ::4].repeat(1, 4) * bank_blend_weights[:, 0:1]
+        mixed_feature = mixed_feature + feature[:, ::2].repeat(1, 2) * bank_blend_weights[:, 1:2]
+        return mixed_feature + feature * bank_blend_weights[:, 2:3]

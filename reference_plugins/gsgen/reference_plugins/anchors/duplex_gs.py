@@ -83,7 +83,7 @@ class DuplexGS(AnchorGenerator):
             raise GsgenError(message, where="--opacity weighted", hint=hint)
         cloud, nets = checkpoint.anchors.cloud, checkpoint.anchors.nets
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
-        self.gate = LevelGate(cloud, levels, half_cell=False)
+        self.level_gate = LevelGate(cloud, levels, half_cell=False)
         self.weighted = opacity == "weighted"
         weighting = checkpoint.weighting
         self.sigma = weighting.sigma if weighting.depth else None
@@ -99,13 +99,13 @@ class DuplexGS(AnchorGenerator):
         return _BoundedOpacity(cloud)
 
     @property
-    def hides_anchors(self) -> bool:
+    def can_hide_anchors(self) -> bool:
         """Whether fine cells (groups of Gaussians) are hidden from distant cameras: always True."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Hide cells that are too fine for their distance; the last level of detail fades in."""
-        visible: Tensor = self.gate(centre)
+        visible: Tensor = self.level_gate(centre)
         return visible
 
     def scale_factors(

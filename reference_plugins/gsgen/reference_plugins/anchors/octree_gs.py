@@ -154,14 +154,14 @@ class OctreeGS(AnchorGenerator):
     ) -> None:
         """Build the model; with ``half_cell``, distances are measured to octree cell centres."""
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
-        self.gate = LevelGate(cloud, levels, half_cell=half_cell)
+        self.level_gate = LevelGate(cloud, levels, half_cell=half_cell)
 
     @property
-    def hides_anchors(self) -> bool:
+    def can_hide_anchors(self) -> bool:
         """Whether anchors of fine levels of detail are hidden from distant cameras: always True."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Hide anchors that are too fine for their distance; the last level of detail fades in."""
-        visible: Tensor = self.gate(centre)
+        visible: Tensor = self.level_gate(centre)
         return visible

@@ -33,7 +33,7 @@ class AnchorOptions:
     per_anchor: int = 5  # Gaussians of an anchor
     width: int = 16  # length of a feature vector, a multiple of 4
     direction: int = 3  # inputs for the direction of the camera: 3, or 0 (Octree-AnyGS)
-    bank: bool = False  # mix features of three resolutions by a feature bank
+    has_feature_bank: bool = False  # mix features of three resolutions by a feature bank
     # whether the distance is an input of the opacity, covariance and colour networks
     distance: tuple[bool, bool, bool] = (False, False, False)
     level: bool = False  # whether the level is an input of all networks (Octree-GS)
@@ -160,7 +160,7 @@ def _cfg(options: AnchorOptions) -> dict[str, object]:
     return {
         "feat_dim": options.width,
         "n_offsets": options.per_anchor,
-        "use_feat_bank": options.bank,
+        "use_feat_bank": options.has_feature_bank,
         "appearance_dim": options.appearance,
         "add_opacity_dist": opacity,
         "add_cov_dist": covariance,
@@ -204,7 +204,7 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
         head = _network(inputs, options.width, outputs * options.per_anchor, generator)
         _shape_head(name, head, options.per_anchor)
         networks[name] = head
-    if options.bank:
+    if options.has_feature_bank:
         inputs = 3 + options.level if octree else 4
         networks["feature_bank_mlp"] = _network(inputs, options.width, 3, generator)
     if options.appearance:

@@ -51,7 +51,7 @@ class PoseBlendshapes(nn.Module):
         hands = None if mean is None else np.concatenate([zero_pose, mean]).reshape(1, -1, 3)
         self.register_buffer("hands", None if hands is None else _float(hands))
         self.parents = body.parents
-        self.free = shape is None
+        self.is_shape_free = shape is None
         fixed_shape = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
         dirs, pose_dirs = body.shape_dirs[vertices], body.pose_dirs[vertices]
         # The Gaussians were trained in the big pose: subtract its pose blendshapes.
@@ -64,7 +64,7 @@ class PoseBlendshapes(nn.Module):
         register("offset", _float(offsets.T)[None])
         register("pose_dirs", _float(pose_dirs.transpose(2, 1, 0)).flatten(1))
         register("unit", torch.eye(3)[None, None])
-        if self.free:
+        if self.is_shape_free:
             joint_shape_dirs = np.einsum("jv,vas->sja", body.regressor, body.shape_dirs)
             register("joint_dirs", _float(joint_shape_dirs).flatten(1))
             register("shape_dirs", _float(dirs.transpose(2, 1, 0)).flatten(1))

@@ -122,9 +122,9 @@ def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
         if joint < len(bones):
             bone = np.array(bones[joint])
         else:  # fingers point away from the body, side by side
-            finger = (joint - len(bones)) // 3 % 5
+            finger_number = (joint - len(bones)) // 3 % 5
             length = 0.08 if joint % 3 == len(bones) % 3 else 0.03
-            bone = np.array([length if joint < 40 else -length, 0, 0.015 * (finger - 2)])
+            bone = np.array([length if joint < 40 else -length, 0, 0.015 * (finger_number - 2)])
         positions[joint] = positions[parent] + bone
     return positions
 
@@ -195,10 +195,10 @@ def _bone_distances(
         if parent >= 0:
             distances = _segment_distance(points, joint_positions[parent], joint_positions[child])
             distance[:, parent] = np.minimum(distance[:, parent], distances)
-    crown_distance = _segment_distance(
+    head_crown_distance = _segment_distance(
         points, joint_positions[_HEAD_JOINT], joint_positions[_HEAD_JOINT] + _CROWN_OFFSET
     )
-    distance[:, _HEAD_JOINT] = np.minimum(distance[:, _HEAD_JOINT], crown_distance)
+    distance[:, _HEAD_JOINT] = np.minimum(distance[:, _HEAD_JOINT], head_crown_distance)
     return distance
 
 

@@ -64,14 +64,14 @@ def _turn_joint(
 
 def _swing_arm(swing_angles: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
     """Return the axis-angle of a shoulder for a hanging arm that swings about x."""
-    half_swing, half_down = swing_angles / 2, -sign * _ARM_DOWN_ANGLE / 2
+    half_swing_angle, half_arm_angle = swing_angles / 2, -sign * _ARM_DOWN_ANGLE / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
-    w = np.cos(half_swing) * np.cos(half_down)
+    w = np.cos(half_swing_angle) * np.cos(half_arm_angle)
     vector = np.stack(
         [
-            np.sin(half_swing) * np.cos(half_down),
-            -np.sin(half_swing) * np.sin(half_down),
-            np.cos(half_swing) * np.sin(half_down),
+            np.sin(half_swing_angle) * np.cos(half_arm_angle),
+            -np.sin(half_swing_angle) * np.sin(half_arm_angle),
+            np.cos(half_swing_angle) * np.sin(half_arm_angle),
         ]
     )
     length = np.linalg.norm(vector, axis=0)

@@ -45,7 +45,7 @@ _UNUSED_PREFIXES = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "
 class DeformationFlags:
     """The parts of the 4DGaussians networks that are active."""
 
-    active: tuple[str, ...]  # names of the active heads, in the order of ``HEADS``
+    active_heads: tuple[str, ...]  # names of the active heads, in the order of ``HEADS``
     apply_rotation: bool  # multiply the rotation by the change, instead of adding it
     mask: str  # factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty
 
@@ -72,14 +72,14 @@ class DeformationFlags:
             "opacity": cfg.flag("no_do", default=True),
             "shs": cfg.flag("no_dshs", default=True),
         }
-        active = tuple(head for head in HEAD_SIZES if not is_disabled[head])
-        if not active:
+        active_heads = tuple(head for head in HEAD_SIZES if not is_disabled[head])
+        if not active_heads:
             message = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
             hint = "Export the PLY with `gsgen export static`."
             raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
         mask = "static_mlp" if cfg.flag("static_mlp") else ""
         mask = mask or ("empty_voxel" if cfg.flag("empty_voxel") else "")
-        return cls(active, cfg.flag("apply_rotation"), mask)
+        return cls(active_heads, cfg.flag("apply_rotation"), mask)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +115,7 @@ class HexPlaneCheckpoint:
             self.canonical.describe(),
             f"planes of {grids[0][0].shape[0]} channels at {', '.join(sizes)}",
             f"{len(self.nets.feature)} layers of {self.nets.feature[0][0].shape[0]}",
-            f"heads {', '.join(self.flags.active)}",
+            f"heads {', '.join(self.flags.active_heads)}",
         ]
         parts += ["rotations multiplied"] if self.flags.apply_rotation else []
         parts += [f"masked by {self.flags.mask}"] if self.flags.mask else []
@@ -134,7 +134,7 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     run = open_run("hexplane-4dgs", folder, iteration, needs_cfg=True)
     flags = DeformationFlags.of(run.cfg)
     canonical = read_canonical(run.files / "point_cloud.ply")
-    if "shs" in flags.active and canonical.degree != 3:
+    if "shs" in flags.active_heads and canonical.degree != 3:
         message = f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
         raise CheckpointInvalid(message, where=str(run.files / "point_cloud.ply"))
     nets = _read_hexplane_networks(run.files / "deformation.pth", flags)
@@ -148,7 +148,7 @@ def _read_hexplane_networks(path: Path, flags: DeformationFlags) -> HexPlaneNets
     expected = _expected_shapes(path, net, flags, scales, layers)
     # Inactive heads and masks are saved, too.
     unused_prefixes = [
-        f"{_NETWORK_PREFIX}{head}_deform." for head in HEAD_SIZES if head not in flags.active
+        f"{_NETWORK_PREFIX}{head}_deform." for head in HEAD_SIZES if head not in flags.active_heads
     ]
     unused_prefixes += [
         f"{_NETWORK_PREFIX}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
@@ -172,7 +172,7 @@ def _read_hexplane_networks(path: Path, flags: DeformationFlags) -> HexPlaneNets
         aabb=read["grid.aabb"],
         grids=grids,
         feature=tuple(layer_of(read, f"feature_out.{2 * i}") for i in range(layers)),
-        heads={head: _layer_pair(read, f"{head}_deform") for head in flags.active},
+        heads={head: _layer_pair(read, f"{head}_deform") for head in flags.active_heads},
         static=static,
         voxels=_voxels(read) if flags.mask == "empty_voxel" else None,
     )
@@ -206,7 +206,7 @@ def _expected_shapes(
         expected |= linear_shapes(
             f"feature_out.{2 * layer}", channels * scales if layer == 0 else width, width
         )
-    output_sizes = {f"{head}_deform": HEAD_SIZES[head] for head in flags.active}
+    output_sizes = {f"{head}_deform": HEAD_SIZES[head] for head in flags.active_heads}
     output_sizes |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
     for name, output_size in output_sizes.items():
         expected |= linear_shapes(f"{name}.1", width, width) | linear_shapes(

@@ -89,8 +89,8 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
         state |= random_linear(f"{net}feature_out.{2 * layer}", inputs, width, noise)
     for name, outputs in HEAD_SIZES.items():
         state |= random_linear(f"{net}{name}_deform.1", width, width, noise)
-        gain = options.sway if name == "pos" else 0.15
-        state |= random_linear(f"{net}{name}_deform.3", width, outputs, noise, gain)
+        output_gain = options.sway if name == "pos" else 0.15
+        state |= random_linear(f"{net}{name}_deform.3", width, outputs, noise, output_gain)
     if options.flags.get("static_mlp"):
         state |= random_linear(f"{net}static_mlp.1", width, width, noise)
         state |= random_linear(f"{net}static_mlp.3", width, 1, noise)

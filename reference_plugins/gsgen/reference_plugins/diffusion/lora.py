@@ -62,7 +62,7 @@ _UNSUPPORTED = {
 class LoraPair:
     """The two low-rank matrices of a LoRA that change one layer, and their scale."""
 
-    down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
+    down_matrix: Tensor | None = None  # A, [r, i] or [r, i, h, w]
     up: Tensor | None = None  # B, [o, r] or [o, r, 1, 1]
     alpha: float | None = None  # α of the layer, if the file has it
 
@@ -236,9 +236,9 @@ def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module
         )
     alpha_shares = set()
     for name, pair in adapter.pairs.items():
-        layer, down = layers_of_unet[name], pair.down
-        assert down is not None
-        alpha_shares.add(alpha_share := adapter.alpha_share(name, pair, len(down)))
+        layer, down_matrix = layers_of_unet[name], pair.down_matrix
+        assert down_matrix is not None
+        alpha_shares.add(alpha_share := adapter.alpha_share(name, pair, len(down_matrix)))
         weight = layer.weight
         assert isinstance(weight, Tensor)
         # A new tensor, because those of a file may share memory.
@@ -254,24 +254,28 @@ def _lora_mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
     """Return the reason why a LoRA change does not fit a layer; empty if it fits."""
     if layer is None:
         return "is not a layer of the networks"
-    if pair.down is None or pair.up is None:
-        return f"has no {'lora_A or down' if pair.down is None else 'lora_B or up'}"
+    if pair.down_matrix is None or pair.up is None:
+        return f"has no {'lora_A or down' if pair.down_matrix is None else 'lora_B or up'}"
     weight = layer.weight
     assert isinstance(weight, Tensor)
-    down, up = _kernel(pair.down), _kernel(pair.up)
-    fits = down.ndim == up.ndim == 4 and len(down) > 0 and up.shape[1:] == (len(down), 1, 1)
-    if fits and (len(up), *down.shape[1:]) == _kernel(weight).shape:
+    down_matrix, up = _kernel(pair.down_matrix), _kernel(pair.up)
+    has_fitting_shape = (
+        down_matrix.ndim == up.ndim == 4
+        and len(down_matrix) > 0
+        and up.shape[1:] == (len(down_matrix), 1, 1)
+    )
+    if has_fitting_shape and (len(up), *down_matrix.shape[1:]) == _kernel(weight).shape:
         return ""
-    actual = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
+    actual = f"{list(pair.up.shape)} × {list(pair.down_matrix.shape)}"
     return f"has {actual}, which does not fit the weight {list(weight.shape)}"
 
 
 def _pair_product(pair: LoraPair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """Return the product B A of the LoRA matrices in float64, in the layer's weight shape."""
-    assert pair.down is not None
+    assert pair.down_matrix is not None
     assert pair.up is not None
-    down, up = _kernel(pair.down.double()), pair.up.double().flatten(1)
-    return torch.einsum("or,rihw->oihw", up, down).reshape(weight.shape)
+    down_matrix, up = _kernel(pair.down_matrix.double()), pair.up.double().flatten(1)
+    return torch.einsum("or,rihw->oihw", up, down_matrix).reshape(weight.shape)
 
 
 def _kernel(weight: Tensor) -> Tensor:

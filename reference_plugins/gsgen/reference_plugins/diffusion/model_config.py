@@ -62,8 +62,10 @@ class ModelConfig:
     def integers(self, name: str) -> tuple[int, ...]:
         """Return an option of a neural network that must be a list of positive integers."""
         value = self.values.get(name)
-        fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
-        if not fits:
+        is_fitting_list = (
+            isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
+        )
+        if not is_fitting_list:
             raise self.option_error(
                 f"is {value!r}, expected a list of positive integers", where=name
             )

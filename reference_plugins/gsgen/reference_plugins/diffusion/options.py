@@ -90,12 +90,12 @@ class UNetOptions:
         conditional = kind == _CONDITIONAL_CLASS
         channels = config.integers("block_out_channels")
         levels = len(channels)
-        down = config.kinds("down_block_types", _DOWN_BLOCKS, levels)
+        down_block_types = config.kinds("down_block_types", _DOWN_BLOCKS, levels)
         up = config.kinds("up_block_types", _UP_BLOCKS, levels)
         usual = "UNetMidBlock2DCrossAttn" if conditional else "UNetMidBlock2D"
         middle = _MID_BLOCKS[config.choice("mid_block_type", tuple(_MID_BLOCKS), usual)]
         context = config.integer("cross_attention_dim", 1280) if conditional else None
-        if context is None and "context" in (*down, *up, middle):
+        if context is None and "context" in (*down_block_types, *up, middle):
             problem = "has blocks with cross-attention, but the network is unconditional"
             raise config.option_error(problem, where="down_block_types")
         return cls(

@@ -112,8 +112,8 @@ def _write_face_model(
         0, 2e-3, (1, 3, SHAPE_COUNT + expressions)
     )
     wave_field[:, :, :SHAPE_COUNT] *= 0.1
-    jaw_weights = 1 / (1 + np.exp(12 * (unit[:, 1] + 0.35))) * (unit[:, 2] > 0)
-    neck = 1 - jaw_weights
+    jaw_skinning_weights = 1 / (1 + np.exp(12 * (unit[:, 1] + 0.35))) * (unit[:, 2] > 0)
+    neck = 1 - jaw_skinning_weights
     joints = np.array(
         [[0, -0.15, 0], [0, -0.1, 0], [0, 0, 0.02], [0.03, 0.03, 0.07], [-0.03, 0.03, 0.07]]
     )
@@ -123,8 +123,8 @@ def _write_face_model(
     regressor /= regressor.sum(axis=1, keepdims=True)
     # Both lips are arcs of 15 vertices around the middle of the face.
     rings = round((count / 2) ** 0.5)
-    arc = np.arange(-7, 8) % (2 * rings)
-    upper = 2 * rings * round(0.6 * rings) + arc
+    arc_indices = np.arange(-7, 8) % (2 * rings)
+    upper = 2 * rings * round(0.6 * rings) + arc_indices
     lower = upper + 2 * rings * max(1, round(0.06 * rings))
     model = {
         "v_template": vertices,
@@ -132,7 +132,7 @@ def _write_face_model(
         "shapedirs": wave_field,
         "posedirs": rng.normal(0, 1e-3, (count, 3, 36)),
         "J_regressor": regressor,
-        "weights": np.stack([0 * neck, neck, jaw_weights, 0 * neck, 0 * neck], axis=1),
+        "weights": np.stack([0 * neck, neck, jaw_skinning_weights, 0 * neck, 0 * neck], axis=1),
         "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
     }
     masks = {"lip_outside_ring_upper": upper, "lip_outside_ring_lower": lower}

@@ -247,7 +247,7 @@ PLUGIN = Plugin(
     demo=Demo(
         write=_write_demo,
         caption="a noisy rendered image, and its denoised version",
-        degrade=_add_image_noise,
+        degrade_image=_add_image_noise,
     ),
     build=build,
 )

@@ -124,7 +124,7 @@ def read_diffusion(
         raise CheckpointInvalid(message, where=str(difix), hint="Give --vae DIR.")
     schedule = folder / "scheduler" / _SCHEDULE
     noise = _noise(read_model_config(schedule.parent, _SCHEDULE)) if schedule.is_file() else None
-    adapters = [(part.inside, 1.0) for part in read if part.inside is not None]
+    adapters = [(part.fused_adapter, 1.0) for part in read if part.fused_adapter is not None]
     adapters += [(read_lora(path), scale) for path, scale in loras]
     layers_of_name = layers_by_name(unet.network, autoencoder)
     files = [part.path for part in read] + ([] if difix is None else [difix])
@@ -146,18 +146,18 @@ class _LoadedNetwork(Generic[_Network]):
 
     network: _Network
     path: Path
-    inside: Adapter | None
+    fused_adapter: Adapter | None
 
 
 def _network(
     folder: Path,
     network: Callable[[ModelConfig, Mapping[str, Any]], _Network],
     change: Mapping[str, Any],
-    changed_by: Path | None,
+    changing_file: Path | None,
 ) -> _LoadedNetwork[_Network]:
     config = read_model_config(folder)
     path, state = _weights(folder)
-    weights, inside = split_fused_lora(state | dict(change), changed_by or path)
+    weights, fused_adapter = split_fused_lora(state | dict(change), changing_file or path)
     # Built on the meta device, without memory: the file's tensors replace its own.
     try:
         with torch.device("meta"):
@@ -167,9 +167,9 @@ def _network(
         message = f"does not describe a valid network: {error}"
         raise CheckpointInvalid(message, where=str(config.path)) from error
     expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
-    read = require_tensors(changed_by or path, _rename_attention(weights, expected), expected)
+    read = require_tensors(changing_file or path, _rename_attention(weights, expected), expected)
     module.load_state_dict(read, strict=True, assign=True)
-    return _LoadedNetwork(module.eval().requires_grad_(False), path, inside)
+    return _LoadedNetwork(module.eval().requires_grad_(False), path, fused_adapter)
 
 
 def _autoencoder(config: ModelConfig, state: Mapping[str, Any]) -> Autoencoder:

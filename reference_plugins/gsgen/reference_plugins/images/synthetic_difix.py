@@ -149,9 +149,9 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         gamma[x + 2 : x + 6] = _SILU_FACTOR * _ACTIVATION_SCALE / 2
         output_weight = weights["conv_out.weight"][color, :, 1, 1]
         output_weight[x], output_weight[x + 1] = image_gain, -image_gain
-        for channel, (bend_channel, change) in enumerate(_BEND_CHANNEL_SIGNS, x + 2):
+        for channel, (paired_channel, change) in enumerate(_BEND_CHANNEL_SIGNS, x + 2):
             beta[channel], output_weight[channel] = (
-                _SILU_FACTOR * _BLUR_STRENGTH * bend_channel,
+                _SILU_FACTOR * _BLUR_STRENGTH * paired_channel,
                 contrast_gain * change / _SILU_FACTOR,
             )
 

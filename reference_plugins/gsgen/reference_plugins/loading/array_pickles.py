@@ -139,10 +139,10 @@ class _Decoder:
         )
         major_count = columns if by_columns else rows
         counts = np.diff(row_starts)
-        fits = row_starts.shape == (major_count + 1,) and minor_indices.shape == data.shape == (
-            counts.sum(),
-        )
-        if not fits or row_starts[0] != 0 or (counts < 0).any():
+        has_fitting_shape = row_starts.shape == (
+            major_count + 1,
+        ) and minor_indices.shape == data.shape == (counts.sum(),)
+        if not has_fitting_shape or row_starts[0] != 0 or (counts < 0).any():
             raise ValueError(f"a sparse matrix does not fit its shape {rows} × {columns}")
         self._count_numbers(rows * columns)
         array = np.zeros((rows, columns), data.dtype)

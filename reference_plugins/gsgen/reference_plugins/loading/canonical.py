@@ -38,8 +38,8 @@ class Canonical:
 
     def describe(self) -> str:
         """Return the number of canonical Gaussians and their SH degree as text."""
-        cut = "" if self.stored is None else f" (cut from {self.stored})"
-        return f"{len(self):,} Gaussians of SH degree {self.degree}{cut}"
+        cut_note = "" if self.stored is None else f" (cut from {self.stored})"
+        return f"{len(self):,} Gaussians of SH degree {self.degree}{cut_note}"
 
 
 def read_canonical(path: Path) -> Canonical:

@@ -124,10 +124,10 @@ def first_names(names: Iterable[str], separator: str = ", ") -> str:
 def _tensor_problem(name: str, value: Any, shape: Shape) -> str:
     if not isinstance(value, Tensor):
         return f"{name} is a {type(value).__name__}, expected a tensor"
-    fits = value.ndim == len(shape) and all(
+    has_fitting_shape = value.ndim == len(shape) and all(
         expected in (None, actual) for expected, actual in zip(shape, value.shape, strict=True)
     )
-    if not fits:
+    if not has_fitting_shape:
         words = ", ".join("any" if size is None else str(size) for size in shape)
         return f"{name} is {list(value.shape)}, expected [{words}]"
     if not torch.isfinite(value.to(torch.float32)).all():

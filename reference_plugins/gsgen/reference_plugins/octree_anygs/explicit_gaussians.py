@@ -58,7 +58,7 @@ class LeveledGaussians(GaussianGenerator):
         scale = np.exp(splats.log_scale.astype(np.float64))
         covariance = covariance_upper(scale, splats.rotation).astype(np.float32)
         self.inputs = (inputs.view(),)
-        self.gate = LevelGate(cloud, levels, half_cell=False)
+        self.level_gate = LevelGate(cloud, levels, half_cell=False)
         self.register_buffer("position", torch.from_numpy(splats.position))
         self.register_buffer("opacity", torch.sigmoid(colors.logit_opacity))
         self.register_buffer("covariance", torch.from_numpy(covariance))
@@ -66,7 +66,7 @@ class LeveledGaussians(GaussianGenerator):
 
     def forward(self, camera: Float[Tensor, "4 4"]) -> Gaussians:
         """Return the Gaussians for a camera: a world→camera matrix in column order."""
-        visible = self.gate(camera_centre(camera).reshape(1, 3))
+        visible = self.level_gate(camera_centre(camera).reshape(1, 3))
         return Gaussians(
             position=self.position,
             opacity=(self.opacity * visible).reshape(-1),

@@ -88,7 +88,7 @@ def _anchors(
         "view_dim": options.direction,
         "appearance_dim": options.appearance,
         "n_offsets": options.per_anchor,
-        "use_feat_bank": options.bank,
+        "use_feat_bank": options.has_feature_bank,
     }
     return columns, kwargs
 

@@ -80,8 +80,8 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     turns, width = 3 * (options.joints - 1), options.width
     pose: dict[str, Tensor] = {}
     for index, (inputs, outputs) in enumerate([(turns, width), (width, width), (width, turns)]):
-        gain = 0.05 if index == 2 else 1.0
-        pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, gain)
+        output_gain = 0.05 if index == 2 else 1.0
+        pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, output_gain)
     weights: dict[str, Tensor] = {}
     for index, inputs in enumerate([63, width, width, 63 + width]):
         weights |= random_linear(f"bw_linears.{index}", inputs, width, noise)
@@ -183,8 +183,8 @@ def _r3_fields(
     decoder = random_linear("linear.0", 3 * options.channels, width, noise)
     decoder |= random_linear("linear.1", width, width, noise)
     heads = {"warp": (3, 0.02), "opacity": (1, 0.7), "rotation": (4, 1.0), "scaling": (3, 0.03)}
-    for name, (outputs, gain) in heads.items():
-        decoder |= random_linear(f"gaussian_{name}", width, outputs, noise, gain)
+    for name, (outputs, output_gain) in heads.items():
+        decoder |= random_linear(f"gaussian_{name}", width, outputs, noise, output_gain)
     decoder["gaussian_opacity.bias"] += 2  # most Gaussians are opaque
     decoder["gaussian_scaling.bias"] += 0.11  # its square is the scale
     margin = 0.05

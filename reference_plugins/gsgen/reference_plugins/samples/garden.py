@@ -13,7 +13,7 @@ from gsgen.formats.shared.quantities import SH_C0, rotations
 from gsgen.reference_plugins.samples.surfaces import (
     Cloud,
     Points,
-    blades,
+    grass_blades,
     join,
     on_disc,
     on_ellipsoid,
@@ -49,7 +49,9 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
     sun_direction = SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
     sun_cosine = cloud.normal @ sun_direction
     diffuse = (
-        np.maximum(sun_cosine, 0) + cloud.gloss * np.maximum(-sun_cosine, 0) + 0.3 * cloud.gloss
+        np.maximum(sun_cosine, 0)
+        + cloud.specular_strength * np.maximum(-sun_cosine, 0)
+        + 0.3 * cloud.specular_strength
     )
     if shadows:
         diffuse = np.where(_is_in_shadow(cloud.position, sun_direction), 0.12 * diffuse, diffuse)
@@ -103,15 +105,15 @@ def _ground_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     stone_color = (
         tone_factor[:, None] * np.array([0.5, 0.45, 0.38]) * (0.9 + 0.2 * edge_distance[:, None])
     )
-    grain_factor = 1 + 0.08 * rng.normal(size=(len(paving_disc), 1))
-    color = np.where(joint[:, None], [0.13, 0.14, 0.08], stone_color) * grain_factor
+    color_grain_factor = 1 + 0.08 * rng.normal(size=(len(paving_disc), 1))
+    color = np.where(joint[:, None], [0.13, 0.14, 0.08], stone_color) * color_grain_factor
     paved_cloud = Cloud(
         position=paving_disc.position,
         normal=paving_disc.normal,
         along=paving_disc.along,
         scale=paving_disc.scale,
         color=color,
-        gloss=paving_disc.gloss,
+        specular_strength=paving_disc.specular_strength,
     )
     soil_cloud = on_disc(
         int(7000 * unit), _LAWN_RADIUS, np.array([0.09, 0.15, 0.04]), hole_radius=_PAVING_RADIUS
@@ -128,7 +130,7 @@ def _ground_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     return [
         paved_cloud,
         soil_cloud.moved((0, -0.02, 0)),
-        blades(roots, rng.uniform(0.06, 0.15, count), green_color, rng),
+        grass_blades(roots, rng.uniform(0.06, 0.15, count), green_color, rng),
     ]
 
 
@@ -136,11 +138,11 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
     table_top = on_disc(int(4500 * unit), _TABLE_RADIUS, np.zeros(3))
     x, _, z = table_top.position.T
     plank_index = np.floor(x / 0.16)
-    grain_factor = 0.1 * np.sin(40 * x + 3 * np.sin(5 * z + plank_index)) + 0.06 * rng.normal(
+    color_grain_factor = 0.1 * np.sin(40 * x + 3 * np.sin(5 * z + plank_index)) + 0.06 * rng.normal(
         size=len(table_top)
     )
     tone_factor = (
-        0.85 + 0.25 * np.modf(np.abs(np.sin(plank_index * 12.99) * 43758))[0] + grain_factor
+        0.85 + 0.25 * np.modf(np.abs(np.sin(plank_index * 12.99) * 43758))[0] + color_grain_factor
     )
     is_gap = np.abs(x / 0.16 % 1 - 0.5) > 0.46
     wood = (
@@ -152,7 +154,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=table_top.along,
         scale=table_top.scale,
         color=wood,
-        gloss=table_top.gloss,
+        specular_strength=table_top.specular_strength,
     )
     height, radius = _TABLE_HEIGHT, _TABLE_RADIUS
     brown_color = np.array([0.4, 0.23, 0.12])
@@ -182,7 +184,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=vase.along,
         scale=vase.scale,
         color=np.where(bands, [0.85, 0.85, 0.8], vase.color),
-        gloss=vase.gloss,
+        specular_strength=vase.specular_strength,
     )
     bouquet_flowers = _flower_clouds(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
     leaves = on_ellipsoid(int(900 * unit), (0.2, 0.14, 0.2), np.array([0.12, 0.3, 0.07]), rng)
@@ -201,7 +203,7 @@ def _flower_clouds(
     count: int, radii: tuple[float, float, float], size: float, rng: np.random.Generator
 ) -> Cloud:
     """Return flowers of a heart and two rings of petals, on the upper half of an ellipsoid."""
-    flower_parts = []
+    flower_clouds = []
     for number in range(count):
         height = 1 - 1.15 * (number + 0.5) / count
         turn = 2.4 * number
@@ -225,7 +227,7 @@ def _flower_clouds(
             along=spoke_tangent,
             scale=size * np.tile([0.24, 0.14, 0.03], (14, 1)),
             color=hue * rng.uniform(0.85, 1.1, (14, 1)),
-            gloss=np.full(14, 0.5),
+            specular_strength=np.full(14, 0.5),
         )
         flower_center = Cloud(
             position=(outward_direction * radii + 0.12 * size * outward_direction)[None],
@@ -233,10 +235,10 @@ def _flower_clouds(
             along=first_axis[None],
             scale=size * np.array([[0.2, 0.2, 0.12]]),
             color=np.array([[0.85, 0.6, 0.1]]),
-            gloss=np.zeros(1),
+            specular_strength=np.zeros(1),
         )
-        flower_parts += [petals, flower_center]
-    return join(flower_parts)
+        flower_clouds += [petals, flower_center]
+    return join(flower_clouds)
 
 
 def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
@@ -244,26 +246,26 @@ def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     count = int(11_000 * unit)
     turn = rng.uniform(-1.2 * np.pi, 0.2 * np.pi, count)
     petal_width, height = rng.uniform(-0.3, 0.3, count), 1.15 * rng.random(count)
-    blade_side = rng.integers(0, 3, count)
-    petal_width = np.where(blade_side == 0, -0.3, petal_width)
-    height = np.where(blade_side == 1, 1.15, height)
+    grass_blade_side = rng.integers(0, 3, count)
+    petal_width = np.where(grass_blade_side == 0, -0.3, petal_width)
+    height = np.where(grass_blade_side == 1, 1.15, height)
     distance = _HEDGE_RADIUS + petal_width + 0.05 * rng.normal(size=count)
     spoke_direction = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
-    face = np.where((blade_side == 1)[:, None], [0.0, 1.0, 0.0], -spoke_direction)
-    crown_shell = on_ellipsoid(
+    face = np.where((grass_blade_side == 1)[:, None], [0.0, 1.0, 0.0], -spoke_direction)
+    bush_crown_points = on_ellipsoid(
         count, (1.0, 1.0, 1.0), np.array([0.09, 0.24, 0.06]), rng, size=0.042
     )
     normal = face + 0.3 * rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    spoke_tangent = np.cross(normal, crown_shell.normal)
+    spoke_tangent = np.cross(normal, bush_crown_points.normal)
     spoke_tangent /= np.linalg.norm(spoke_tangent, axis=1, keepdims=True)
     hedge_leaves = Cloud(
         position=distance[:, None] * spoke_direction + height[:, None] * np.array([0.0, 1.0, 0.0]),
         normal=normal,
         along=spoke_tangent,
-        scale=crown_shell.scale,
-        color=crown_shell.color * np.exp(0.3 * rng.normal(size=(count, 1))),
-        gloss=crown_shell.gloss,
+        scale=bush_crown_points.scale,
+        color=bush_crown_points.color * np.exp(0.3 * rng.normal(size=(count, 1))),
+        specular_strength=bush_crown_points.specular_strength,
     )
     clouds = [hedge_leaves]
     # 2. Trees: a trunk and a crown of leaves.
@@ -280,9 +282,9 @@ def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     for number in range(7):
         turn_of_bed = np.pi * (0.95 + 1.1 * number / 6)
         x, z = 2.75 * np.cos(turn_of_bed), 2.75 * np.sin(turn_of_bed)
-        bush_leaves = on_ellipsoid(
+        bush_leaf_points = on_ellipsoid(
             int(600 * unit), (0.38, 0.3, 0.38), np.array([0.12, 0.28, 0.08]), rng, size=0.025
         )
         bloom_cloud = _flower_clouds(int(15 * max(unit, 0.2)), (0.4, 0.32, 0.4), 0.06, rng)
-        clouds += [bush_leaves.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
+        clouds += [bush_leaf_points.moved((x, 0.15, z)), bloom_cloud.moved((x, 0.17, z))]
     return clouds

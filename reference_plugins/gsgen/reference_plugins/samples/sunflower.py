@@ -168,22 +168,24 @@ def _sunflower(count: int, seed: int) -> tuple[Splats, np.ndarray]:
         color=flower_center.color
         * (0.6 + 0.9 * ring_radius)
         * np.exp(0.25 * rng.normal(size=ring_radius.shape)),
-        gloss=flower_center.gloss,
+        specular_strength=flower_center.specular_strength,
     )
-    flower_back = on_lathe(
+    flower_back_points = on_lathe(
         int(0.1 * count), [(0.02, -0.06), (0.15, -0.015)], np.array([0.2, 0.38, 0.1])
     )
-    face = _tilt_cloud(join([seeds, flower_back, *_petal_clouds(int(0.35 * count), rng)]), 62.0)
+    face = _tilt_cloud(
+        join([seeds, flower_back_points, *_petal_clouds(int(0.35 * count), rng)]), 62.0
+    )
     plant = join([
         stem, leaf.moved((0.2, 0.45, 0.0)), leaf.moved((-0.19, 0.68, 0.03)),
         face.moved((0.0, 1.28, 0.03)),
     ])  # fmt: skip
     height = plant.position[:, 1]
-    bend_share = np.clip((height - 0.55) / 0.4, 0, 1)
+    stem_bend_weight = np.clip((height - 0.55) / 0.4, 0, 1)
     nod_share = np.clip((height - 1.1) / 0.15, 0, 1)
-    nod_share[-len(face) :], bend_share[-len(face) :] = 1.0, 1.0  # the head is rigid
+    nod_share[-len(face) :], stem_bend_weight[-len(face) :] = 1.0, 1.0  # the head is rigid
     return apply_lighting(plant, shadows=False), np.stack(
-        [1 - bend_share, bend_share - nod_share, nod_share], axis=1
+        [1 - stem_bend_weight, stem_bend_weight - nod_share, nod_share], axis=1
     )
 
 
@@ -208,7 +210,7 @@ def _petal_clouds(count: int, rng: np.random.Generator) -> list[Cloud]:
                 color=np.array([0.98, 0.62, 0.05])
                 * rng.uniform(0.8, 1.08)
                 * (0.75 + 0.9 * petal_distance),
-                gloss=np.full(12, 0.6),
+                specular_strength=np.full(12, 0.6),
             )
         )
     return petals
@@ -224,7 +226,7 @@ def _tilt_cloud(cloud: Cloud, degrees: float) -> Cloud:
         along=cloud.along @ turn,
         scale=cloud.scale,
         color=cloud.color,
-        gloss=cloud.gloss,
+        specular_strength=cloud.specular_strength,
     )
 
 

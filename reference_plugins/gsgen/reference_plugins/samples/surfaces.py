@@ -1,6 +1,6 @@
 """Samples surfaces of revolution, discs and blades as flat Gaussians with normals and colours."""
 
-__all__ = ["Cloud", "blades", "join", "on_disc", "on_ellipsoid", "on_lathe"]
+__all__ = ["Cloud", "grass_blades", "join", "on_disc", "on_ellipsoid", "on_lathe"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ class Cloud:
         along: Unit vectors of the first axis in the surface.
         scale: Standard deviations along ``along``, across it and along the normal.
         color: Albedo, linear, from 0 to 1.
-        gloss: Share of the light that passes through thin leaves from behind.
+        specular_strength: Share of the light that passes through thin leaves from behind.
     """
 
     position: Points
@@ -30,7 +30,7 @@ class Cloud:
     along: Points
     scale: Points
     color: Points
-    gloss: Float[np.ndarray, " n"]
+    specular_strength: Float[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.position)
@@ -63,7 +63,7 @@ def _cloud(
         along=along,
         scale=np.tile([size, size, 0.25 * size], (len(position), 1)),
         color=np.broadcast_to(color, position.shape),
-        gloss=np.full(len(position), translucency),
+        specular_strength=np.full(len(position), translucency),
     )
 
 
@@ -126,7 +126,7 @@ def on_ellipsoid(
     return replace(leaves, scale=size * shape)
 
 
-def blades(
+def grass_blades(
     roots: Points, length: Float[np.ndarray, " n"], color: Points, rng: np.random.Generator
 ) -> Cloud:
     """Return a long upright Gaussian, as a blade of grass, at each root position."""
@@ -147,5 +147,5 @@ def blades(
             [0.6 * half_length, 0.12 * half_length + 0.002, 0.03 * half_length + 0.001], axis=1
         ),
         color=np.broadcast_to(color, roots.shape),
-        gloss=np.full(count, 0.5),
+        specular_strength=np.full(count, 0.5),
     )

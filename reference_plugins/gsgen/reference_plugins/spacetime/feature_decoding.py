@@ -57,7 +57,7 @@ class FeaturePasses(MovingSplats):
     """
 
     low: Tensor
-    gain: Tensor
+    feature_gain: Tensor
 
     def __init__(self, splats: SpacetimeSplats, time: Input | None = None) -> None:
         super().__init__(splats)
@@ -78,7 +78,7 @@ class FeaturePasses(MovingSplats):
         for index, group in enumerate(groups):
             # 1 for the selected group, 0 for the others; numbers between two groups blend them.
             share = torch.relu(1 - (features - index).abs())
-            scaled = (group - self.low[index]) * self.gain[index]
+            scaled = (group - self.low[index]) * self.feature_gain[index]
             rgb = rgb + share * scaled.clamp(0.0, 1.0)
         return Gaussians(position=position, opacity=opacity, covariance=covariance, rgb=rgb)
 

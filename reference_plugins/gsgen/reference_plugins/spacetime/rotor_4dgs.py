@@ -103,7 +103,7 @@ class Rotor4DGS(GaussianGenerator):
     covariance: Tensor
     opacity: Tensor
     centre: Tensor
-    half_rate: Tensor
+    half_angular_rate: Tensor
     reach: Tensor
     sh: Tensor
     changing_sh: Tensor
@@ -152,7 +152,11 @@ class Rotor4DGS(GaussianGenerator):
         time_offset = time.reshape(1, 1) - self.centre
         # A comparison of times, not of factors: a difference is exact on every machine.
         is_drawn = (time_offset.abs() < self.reach).to(time_offset.dtype)
-        opacity = self.opacity * torch.exp(-self.half_rate * (time_offset * time_offset)) * is_drawn
+        opacity = (
+            self.opacity
+            * torch.exp(-self.half_angular_rate * (time_offset * time_offset))
+            * is_drawn
+        )
         sh = self.sh
         for index in range(self.changing_sh.shape[1]):
             phase = torch.cos(2 * math.pi * (index + 1) * time_offset)

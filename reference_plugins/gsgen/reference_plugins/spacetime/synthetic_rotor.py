@@ -86,6 +86,6 @@ def _rotors(
     speed = velocity.norm(dim=1, keepdim=True)
     half_angle = torch.atan(speed) / 2
     axis = (velocity / speed.clamp(min=1e-12)).flip(1)  # quaternions count time, z, y, x
-    boost_rotor = torch.cat([half_angle.cos(), half_angle.sin() * axis], dim=1)
-    inverse = torch.cat([boost_rotor[:, :1], -boost_rotor[:, 1:]], dim=1)
-    return quaternion_multiply(boost_rotor, turn), quaternion_multiply(inverse, turn)
+    time_rotation_rotor = torch.cat([half_angle.cos(), half_angle.sin() * axis], dim=1)
+    inverse = torch.cat([time_rotation_rotor[:, :1], -time_rotation_rotor[:, 1:]], dim=1)
+    return quaternion_multiply(time_rotation_rotor, turn), quaternion_multiply(inverse, turn)

@@ -28,8 +28,8 @@ def torus_knot(count: int, *, degree: int = 3, seed: int = 0) -> Splats:
     k = coefficients(degree)
     sh = np.zeros((count, k, 3))
     lobe_coefficients = basis(np.array([[0.0, -1.0, 0.0]]), degree)[0]
-    band_strength = np.repeat([1.0, 0.45, 0.2, 0.08], [1, 3, 5, 7])[:k]
-    sh += (0.25 * band_strength * lobe_coefficients)[None, :, None]
+    sh_band_strength = np.repeat([1.0, 0.45, 0.2, 0.08], [1, 3, 5, 7])[:k]
+    sh += (0.25 * sh_band_strength * lobe_coefficients)[None, :, None]
     sh[:, 0] += (color - 0.5) / SH_C0
     log_scale = np.log(0.02) + 0.4 * rng.normal(size=(count, 3))
     return Splats(

@@ -105,8 +105,8 @@ class FrameConverter:
             self._bits = np.full_like(bits, np.iinfo(np.uint64).max)  # NaN: no row is up to date
             self._log_scale = np.empty((len(bits), 3), np.float32)
             self._rotation = np.empty((len(bits), 4), np.float32)
-        changed = np.logical_or.reduce([bits[:, i] != self._bits[:, i] for i in range(3)])
-        rows = _selection(is_drawn & changed)
+        is_changed_column = np.logical_or.reduce([bits[:, i] != self._bits[:, i] for i in range(3)])
+        rows = _selection(is_drawn & is_changed_column)
         variances, rotation = variances_and_quaternions(covariance[rows])
         log_scale = np.empty((len(rotation), 3), np.float32)
         for axis, variance in enumerate(variances):

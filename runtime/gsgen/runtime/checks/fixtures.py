@@ -78,5 +78,5 @@ def with_reference(spec: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
         center=(32.0, 18.0),
     )
     declared = replace(reference, **changes)  # type: ignore[arg-type]
-    model_with_file = replace(spec, beside={"reference.png": png})
+    model_with_file = replace(spec, extra_files={"reference.png": png})
     return model_with_file.with_manifest(reference_images=(declared,))

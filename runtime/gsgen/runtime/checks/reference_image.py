@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.model.files_beside import FileRefused, contained_file
+from gsgen.contract.model.files_beside import FileRefused, find_contained_file
 from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
@@ -96,7 +96,7 @@ def reference_camera(reference: ReferenceImage, width: int, height: int) -> Came
 
 def _bytes(model: Path, name: str) -> bytes:
     try:
-        with contained_file(model, name).open("rb") as file:
+        with find_contained_file(model, name).open("rb") as file:
             image_bytes = file.read(_MAX_BYTES + 1)
     except FileRefused as error:
         raise ReferenceUnreadable(

@@ -96,9 +96,9 @@ def record_references(
         GsgenError: The model cannot be drawn.
     """
     folder = model.with_name(f"{model.stem}-references")
-    existing = _existing_pictures(folder)
+    existing_pictures = _existing_pictures(folder)
     if not force:
-        refuse_existing(existing, folder, "copy")
+        refuse_existing(existing_pictures, folder, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
@@ -111,7 +111,7 @@ def record_references(
     pictures = list(_draw(subject, probes, cameras, renderer, progress))
     progress(f"writing {model.name}")
     images = _write(subject, pictures, model, folder.name, psnr)
-    for path in existing:
+    for path in existing_pictures:
         if path.name not in {Path(image.path).name for image in images}:
             path.unlink()
     empty = [

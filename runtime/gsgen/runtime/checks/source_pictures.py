@@ -123,9 +123,9 @@ def record_source_pictures(
         DeviceUnavailable: No graphics device can be opened.
     """
     target = model.with_name(f"{model.stem}-references")
-    existing = sorted(target.glob("*.png"))
+    existing_pictures = sorted(target.glob("*.png"))
     if not force:
-        refuse_existing(existing, target, "copy")
+        refuse_existing(existing_pictures, target, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
@@ -148,7 +148,7 @@ def record_source_pictures(
         (draft_folder / target.name).mkdir()
         for path, file in files.items():
             (draft_folder / path).write_bytes(file)
-    for earlier_file in existing:
+    for earlier_file in existing_pictures:
         if f"{target.name}/{earlier_file.name}" not in files:
             earlier_file.unlink()
     return SourcePictures(
@@ -186,29 +186,33 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
         hint = "If only culling depends on it, declare a copy without the input."
         raise RecordingRefused(message, where=where, hint=hint)
     probes = make_plan(subject, Level.VALUES, settings.seed).probes
-    by_label = {entry.label: entry for entry in probes if not entry.zeros} or {
+    probe_by_label = {entry.label: entry for entry in probes if not entry.zeros} or {
         entry.label: entry for entry in probes
     }
-    if label is not None and label not in by_label:
-        raise UnknownName.among("probe", label, by_label, "--probe")
-    return by_label[label or next(iter(by_label))]
+    if label is not None and label not in probe_by_label:
+        raise UnknownName.among("probe", label, probe_by_label, "--probe")
+    return probe_by_label[label or next(iter(probe_by_label))]
 
 
 def _match_cameras(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, ...]]:
     """Return the training pictures that have a camera, and the names of those without a camera."""
     if not folder.is_dir():
         raise InputUnreadable("is not a folder, expected one of training images", where=str(folder))
-    by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
+    camera_by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
     paths = sorted(
         (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES),
         key=lambda path: natural_key(path.name),
     )
-    sources = [_read_source(path, by_stem[path.stem]) for path in paths if path.stem in by_stem]
+    sources = [
+        _read_source(path, camera_by_stem[path.stem])
+        for path in paths
+        if path.stem in camera_by_stem
+    ]
     if not sources:
-        names = ", ".join(list(by_stem)[:3])
+        names = ", ".join(list(camera_by_stem)[:3])
         message = f"holds {len(paths)} pictures, and none is named like a camera ({names}, …)"
         raise ConfigInvalid(message, where=str(folder))
-    return sources, tuple(path.name for path in paths if path.stem not in by_stem)
+    return sources, tuple(path.name for path in paths if path.stem not in camera_by_stem)
 
 
 def _read_source(path: Path, camera: Camera) -> _Source:

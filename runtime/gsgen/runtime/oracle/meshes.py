@@ -66,14 +66,14 @@ def cast_rays(
             hit_depth, weights, unit_normal = intersection
             is_nearer = hit_depth < depth[part]
             depth[part] = np.where(is_nearer, hit_depth, depth[part])
-            facing = (ray_direction[part] @ unit_normal)[..., None]
-            facing_normal = np.where(facing > 0, -unit_normal, unit_normal)
+            facing_cosine = (ray_direction[part] @ unit_normal)[..., None]
+            facing_normal = np.where(facing_cosine > 0, -unit_normal, unit_normal)
             normal[part] = np.where(is_nearer[..., None], facing_normal, normal[part])
             mesh_color = _convert_color_space(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ray_direction[part], axis=-1, keepdims=True)
                 mesh_color = mesh_color * (
-                    _AMBIENT_LIGHT + (1 - _AMBIENT_LIGHT) * np.abs(facing) / length
+                    _AMBIENT_LIGHT + (1 - _AMBIENT_LIGHT) * np.abs(facing_cosine) / length
                 )
             color[part] = np.where(is_nearer[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
@@ -94,8 +94,12 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     start = np.broadcast_to(camera.eye, (*shape, 3))
     if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
         level = np.cos(row_slopes)
-        around = [level * np.sin(column_slopes), np.sin(row_slopes), level * np.cos(column_slopes)]
-        return start, np.stack(around, -1) @ to_world
+        panorama_directions = [
+            level * np.sin(column_slopes),
+            np.sin(row_slopes),
+            level * np.cos(column_slopes),
+        ]
+        return start, np.stack(panorama_directions, -1) @ to_world
     return start, np.stack([column_slopes, row_slopes, ones], -1) @ to_world
 
 

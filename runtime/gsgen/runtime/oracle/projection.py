@@ -227,13 +227,13 @@ def _project_panorama(
         np.arcsin(position[:, 1] / distance),
     )
     forward = np.stack([np.sin(longitude), np.cos(longitude)], 1)
-    east = np.stack([forward[:, 1], np.zeros(len(position)), -forward[:, 0]], 1)
+    east_direction = np.stack([forward[:, 1], np.zeros(len(position)), -forward[:, 0]], 1)
     sin, cos = np.sin(latitude), np.cos(latitude)
     south = np.stack([-sin * forward[:, 0], cos, -sin * forward[:, 1]], 1)
     latitude_radius = distance * np.maximum(
         cos, _MIN_POLE_COSINE
     )  # radius of the circle of latitude
-    jacobian = np.stack([east / latitude_radius[:, None], south / distance[:, None]], 1)
+    jacobian = np.stack([east_direction / latitude_radius[:, None], south / distance[:, None]], 1)
     jacobian *= focal[:, None]
     mean = focal * np.stack([longitude, latitude], 1) + center
     return mean, jacobian @ sigma @ jacobian.transpose(0, 2, 1)

@@ -231,12 +231,12 @@ class _BlendState:
             unclamped_opacity = splats.opacity[k] * np.exp(
                 -0.5 * (a * dx**2 + c * dy**2) - b * dx * dy
             )
-            far = np.hypot(dx, dy)
-            is_inside = (unclamped_opacity >= MIN_ALPHA) & (far <= cell.radius[k])
-            hit = is_inside & entered_pixels & (depth <= limit)
+            pixel_distance = np.hypot(dx, dy)
+            is_inside = (unclamped_opacity >= MIN_ALPHA) & (pixel_distance <= cell.radius[k])
+            is_hit_pixel = is_inside & entered_pixels & (depth <= limit)
             # Step 3: mark pixels where the last bits of float32 may decide otherwise.
             is_near_threshold = np.abs(unclamped_opacity / MIN_ALPHA - 1) <= FRAGILE_BAND
-            is_near_threshold |= np.abs(far - cell.radius[k]) <= cell.ring_radius[k]
+            is_near_threshold |= np.abs(pixel_distance - cell.radius[k]) <= cell.ring_radius[k]
             is_near_threshold |= np.abs(depth - limit) <= _EQUALITY_TOLERANCE * depth
             is_reached = unclamped_opacity >= MIN_ALPHA * (1 - FRAGILE_BAND)
             touched_pixels_mask = cell.pixel_box | cell.is_uncertain
@@ -248,7 +248,7 @@ class _BlendState:
             )
             self.fragile |= is_inside & cell.is_uncertain
             # Step 4: add its weighted values, and take its share of the light.
-            alpha = np.where(hit, np.minimum(unclamped_opacity, MAX_ALPHA) / divisor, 0)
+            alpha = np.where(is_hit_pixel, np.minimum(unclamped_opacity, MAX_ALPHA) / divisor, 0)
             self.transmittance *= np.maximum(1 - alpha, 0)
             contribution = alpha * entered_transmittance
             self.color += contribution[..., None] * splats.color[k]

@@ -119,8 +119,8 @@ class Viewpoint:
         camera = self._place_cameras(source, center, reach, number, turn)
         if not self.is_orthographic:
             return camera
-        ahead = float(camera.view[2, :3] @ center + camera.view[2, 3])
-        return camera.flattened(ahead if ahead > camera.near else reach)
+        depth_of_center = float(camera.view[2, :3] @ center + camera.view[2, 3])
+        return camera.flattened(depth_of_center if depth_of_center > camera.near else reach)
 
     def _panorama(
         self, source: Source, center: Float[np.ndarray, "3"], number: int, turn: float
@@ -130,7 +130,7 @@ class Viewpoint:
         if self.cameras:
             file_camera = self.cameras[number % len(self.cameras)]
             if self.up is None:
-                return file_camera.all_around(width, height)
+                return file_camera.panorama_around(width, height)
             eye, toward = file_camera.eye.tolist(), file_camera.view[2, :3].tolist()
             return Camera.panorama(eye, toward, up=self.up, width=width, height=height)
         eye, toward = self._panorama_pose(source, center, turn)

@@ -145,16 +145,16 @@ class LivePlayback(Playback):
     def depths(self, camera: Camera) -> tuple[float, float]:
         """Return the nearest and the farthest depth of all Gaussians and meshes for a camera."""
         extents = [source.extent() for source in self.sources]
-        ahead = [
+        source_depths = [
             float(np.linalg.norm(center - camera.eye))
             if camera.kind == "panorama"
             else float(camera.view[2, :3] @ center + camera.view[2, 3])
             for center, _ in extents
         ]
         reach = [radius for _, radius in extents]
-        near = min(depth - size for depth, size in zip(ahead, reach, strict=True))
-        far = max(depth + size for depth, size in zip(ahead, reach, strict=True))
-        return max(near, camera.near), max(far, 2 * camera.near)
+        near = min(depth - size for depth, size in zip(source_depths, reach, strict=True))
+        far_depth = max(depth + size for depth, size in zip(source_depths, reach, strict=True))
+        return max(near, camera.near), max(far_depth, 2 * camera.near)
 
     def abandon(self) -> None:
         """Wait for the frame that :meth:`begin` requested, and discard its result or error."""

@@ -141,10 +141,10 @@ class Player:
 
     def _max_frames_in_flight(self) -> int:
         """Return how many frames may be in flight, for which all sources hold their arrays."""
-        if all(source.hold(self._frames_in_flight - 1) for source in self._sources):
+        if all(source.hold_frames(self._frames_in_flight - 1) for source in self._sources):
             return self._frames_in_flight
         for source in self._sources:
-            source.hold(0)
+            source.hold_frames(0)
         return 1
 
     def _compute_frames(

@@ -75,7 +75,7 @@ class Timings:
     small_tiles: float
 
     @property
-    def fastest(self) -> Rasteriser:
+    def fastest_rasteriser(self) -> Rasteriser:
         """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
         return (
             "quads"
@@ -114,7 +114,7 @@ def choose(device: Device, kernels: Kernels, measure: MeasureTimings | None = No
             cached = (measure or measure_options)(device, kernels)
             _write_cache(_read_cache() | {key: cached})
         _timings_by_device[key] = cached
-    return _timings_by_device[key].fastest
+    return _timings_by_device[key].fastest_rasteriser
 
 
 def chosen_sort_config(device: Device) -> SortConfig:
@@ -141,7 +141,7 @@ def describe_choice(device: Device) -> str:
         f"{1e3 * seconds:.2f} ms" for seconds in (timings.tiles, timings.small_tiles, timings.quads)
     )
     measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small_kernels}, quads {quads}"
-    return f"{text}rasteriser {timings.fastest}: {measured}"
+    return f"{text}rasteriser {timings.fastest_rasteriser}: {measured}"
 
 
 def measure_options(

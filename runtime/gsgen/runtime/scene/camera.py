@@ -240,14 +240,14 @@ class Camera:
         _require_side("height", panorama_height)
         fx, fy = width / x_scale, panorama_height / y_scale
         up_vector = _direction("up", up)
-        ahead = _direction("toward", toward)
-        ahead -= up_vector * (up_vector @ ahead)
-        if not np.linalg.norm(ahead) > 1e-6:
+        forward_direction = _direction("toward", toward)
+        forward_direction -= up_vector * (up_vector @ forward_direction)
+        if not np.linalg.norm(forward_direction) > 1e-6:
             raise SceneInvalid(
                 f"is {list(toward)}, expected a direction that is not parallel to up, {list(up)}",
                 where="camera.toward",
             )
-        view = geometry.look_at(np.zeros(3), ahead, up_vector)
+        view = geometry.look_at(np.zeros(3), forward_direction, up_vector)
         view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
         cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
         return cls(
@@ -355,7 +355,7 @@ class Camera:
         scale = distance if self.kind == "pinhole" else 1.0
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
 
-    def all_around(self, width: int, height: int) -> "Camera":
+    def panorama_around(self, width: int, height: int) -> "Camera":
         """Return a 360° camera at this camera's position, with this camera's axis in the middle."""
         return Camera(
             self.view,

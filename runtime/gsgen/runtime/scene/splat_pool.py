@@ -227,9 +227,12 @@ class SplatPool:
         """
         slots = self._slots_held_by_tile(tile)
         self._require_shapes(tile, rows, appearance)
-        half, end_row = len(slots) // 2, first_row + len(rows)
-        drawn, staged_slots = slots[:half], slots[half:]
-        has_room = end_row <= count <= half * self.slot_rows and not self.live[staged_slots].any()
+        half_slot_count, end_row = len(slots) // 2, first_row + len(rows)
+        drawn, staged_slots = slots[:half_slot_count], slots[half_slot_count:]
+        has_room = (
+            end_row <= count <= half_slot_count * self.slot_rows
+            and not self.live[staged_slots].any()
+        )
         if first_row % self.slot_rows or not has_room:
             raise SceneInvalid(
                 f"rows {first_row} to {end_row} of {count} do not begin a slot of "
@@ -291,8 +294,8 @@ class SplatPool:
         self._write(slots, rows, appearance, origin)
 
     def _drop_slot_writes(self, slots: list[int]) -> None:
-        firsts = {slot * self.slot_rows for slot in slots}
-        self._slot_writes = [write for write in self._slot_writes if write.first not in firsts]
+        first_rows = {slot * self.slot_rows for slot in slots}
+        self._slot_writes = [write for write in self._slot_writes if write.first not in first_rows]
 
     def _slots_held_by_tile(self, tile: int) -> list[int]:
         if tile not in self._slots_of:
@@ -312,15 +315,15 @@ class SplatPool:
             self.live[slot] = self.fade[slot] = 0
             heapq.heappush(self._free_slots, slot)
 
-    def draw(self, fades: Mapping[int, float]) -> None:
+    def draw(self, opacity_factor_by_tile: Mapping[int, float]) -> None:
         """Set the tiles of the splat pool that the next frames draw, each with an opacity factor.
 
         Raises:
             SceneInvalid: A tile is not in the pool.
         """
         self.fade[:] = 0
-        for tile, fade in fades.items():
-            self.fade[self._slots_held_by_tile(tile)] = fade
+        for tile, tile_opacity_factor in opacity_factor_by_tile.items():
+            self.fade[self._slots_held_by_tile(tile)] = tile_opacity_factor
 
     def take_writes(self) -> list[SlotWrite]:
         """Return and clear the splat pool's queue of Gaussians that a renderer has to upload."""

@@ -69,8 +69,8 @@ def union_of_boxes(boxes: Sequence[Box | None]) -> Box | None:
     known = [box for box in boxes if box is not None]
     if not known:
         return None
-    lows, highs = zip(*known, strict=True)
-    return np.min(lows, axis=0), np.max(highs, axis=0)
+    lower_corners, upper_corners = zip(*known, strict=True)
+    return np.min(lower_corners, axis=0), np.max(upper_corners, axis=0)
 
 
 def _floaters(
@@ -144,12 +144,12 @@ def _groups(keys: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    firsts, seconds = [], []
+    first_indices, second_indices = [], []
     for step in _NEIGHBOURS[_NEIGHBOURS > 0]:  # the other neighbours find this cube
         offsets = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
         touching = np.flatnonzero(keys[offsets] == keys + step)
-        firsts.append(touching)
-        seconds.append(offsets[touching])
-    rows, columns = np.concatenate(firsts), np.concatenate(seconds)
+        first_indices.append(touching)
+        second_indices.append(offsets[touching])
+    rows, columns = np.concatenate(first_indices), np.concatenate(second_indices)
     links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(keys),) * 2)
     return np.asarray(connected_components(links, directed=False)[1], np.int64)

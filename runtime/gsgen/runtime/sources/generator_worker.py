@@ -53,7 +53,7 @@ class GeneratorWorker:
     from one thread: a CUDA graph must be replayed by the thread that recorded it.
 
     Each output has two buffers: the drawn one, and one for the next frame; and one for each earlier
-    frame that is held (:meth:`hold`). An output whose live
+    frame that is held (:meth:`hold_frames`). An output whose live
     rows are unchanged, bit by bit, is neither copied nor passed on. The model does not run if no
     input has changed that an output depends on, according to the manifest.
 
@@ -119,7 +119,7 @@ class GeneratorWorker:
         self._stop.reset()
         return self._worker.submit(self._compute, camera, values)
 
-    def hold(self, frames: int) -> None:
+    def hold_frames(self, frames: int) -> None:
         """Keep the outputs of some frames before the drawn one unchanged, from the next run on."""
         self._held_frames = frames
 

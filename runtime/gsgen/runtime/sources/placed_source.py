@@ -154,9 +154,9 @@ class PlacedSource(Source):
         """Wait for the frame that :meth:`start` requested, and discard its result or error."""
         self._wrapped_source.abandon()
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         """Keep the arrays of earlier frames unchanged; return whether the file or model can."""
-        return self._wrapped_source.hold(frames)
+        return self._wrapped_source.hold_frames(frames)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Compute some frames, and set the scene extent to a box around all their Gaussians."""

@@ -109,7 +109,7 @@ class Fields:
             if not isinstance(value, str):
                 self._raise_field_mismatch(name, " or ".join(known))
             raise UnknownName.among("word", value, known, self.location(name))
-        return next((choice_text for choice_text in known if choice_text == value), None)
+        return next((known_value for known_value in known if known_value == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
         """Read a field of a scene file with finite numbers in one of the given array shapes."""

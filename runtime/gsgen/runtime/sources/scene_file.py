@@ -293,8 +293,8 @@ def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
         nested_fields.close()
         if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
             fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]')
-        half = np.radians(degrees) / 2
-        rotation = np.append(np.cos(half), np.sin(half) * axis / np.linalg.norm(axis))
+        half_angle = np.radians(degrees) / 2
+        rotation = np.append(np.cos(half_angle), np.sin(half_angle) * axis / np.linalg.norm(axis))
     else:
         quaternion = fields.array("rotate", (4,))
         rotation = np.array([1.0, 0, 0, 0]) if quaternion is None else quaternion

@@ -123,7 +123,7 @@ class Source(ABC):
     def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
         """Stop computing the frame that :meth:`start` requested, which then fails."""
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         """Keep the arrays of earlier frames unchanged; return whether the source can.
 
         A player that draws frames late may draw them again. A source that writes into the arrays
@@ -246,7 +246,7 @@ class StaticSource(Source):
     def abandon(self) -> None:
         """Return at once: splat files and meshes have no computation to discard."""
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         """Return True: the arrays of splat files and meshes stay the same."""
         return True
 
@@ -347,9 +347,9 @@ class GeneratorSource(Source):
             if future.exception() is None:
                 self._apply_delta(future.result())
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         """Keep the ONNX generator's outputs of some frames before the present one."""
-        self._worker.hold(frames)
+        self._worker.hold_frames(frames)
         return True
 
     def _apply_delta(self, delta: FrameDelta) -> None:

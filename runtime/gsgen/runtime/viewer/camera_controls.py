@@ -53,8 +53,12 @@ class Controls:
         """Reset the camera to its first position and direction."""
         self._rotation = self._initial_camera.view[:3, :3].copy()  # world → camera
         self._zoom_factor = 1.0
-        ahead = float(self._rotation[2] @ (self._center - self._initial_camera.eye))
-        self._distance = ahead if ahead > _MIN_DISTANCE * self._scene_radius else self._scene_radius
+        center_depth = float(self._rotation[2] @ (self._center - self._initial_camera.eye))
+        self._distance = (
+            center_depth
+            if center_depth > _MIN_DISTANCE * self._scene_radius
+            else self._scene_radius
+        )
         if self._initial_camera.kind == "panorama":
             self._distance = _MIN_DISTANCE * self._scene_radius  # a panorama turns in place
         self.pivot = self._initial_camera.eye + self._distance * self._rotation[2]
@@ -140,11 +144,13 @@ class Controls:
     def focus(self, point: Vector) -> None:
         """Turn the camera towards a point, which becomes its pivot."""
         eye = self.eye
-        ahead = np.asarray(point, np.float64) - eye
-        distance = float(np.linalg.norm(ahead))
+        direction_to_point = np.asarray(point, np.float64) - eye
+        distance = float(np.linalg.norm(direction_to_point))
         if not distance > _MIN_DISTANCE * self._scene_radius:
             return
-        if np.linalg.norm(np.cross(ahead / distance, self._up_direction)) > math.sin(_POLE):
+        if np.linalg.norm(np.cross(direction_to_point / distance, self._up_direction)) > math.sin(
+            _POLE
+        ):
             self._rotation = look_at(eye, np.asarray(point, np.float64), self._up_direction)[:3, :3]
         self._distance, self.pivot = distance, np.asarray(point, np.float64)
 
@@ -153,14 +159,14 @@ class Controls:
         initial_camera = self._initial_camera
         self.pivot, self._zoom_factor = self._center.copy(), 1.0
         if initial_camera.kind == "pinhole":
-            half = math.atan(
+            half_fov = math.atan(
                 min(
                     initial_camera.width / initial_camera.fx,
                     initial_camera.height / initial_camera.fy,
                 )
                 / 2
             )
-            self._distance = self._scene_radius / math.sin(half)
+            self._distance = self._scene_radius / math.sin(half_fov)
 
 
 def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:

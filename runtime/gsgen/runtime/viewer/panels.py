@@ -95,12 +95,19 @@ class Slider:
             (value - knob_radius, middle - knob_radius, value + knob_radius, middle + knob_radius),
             _WHITE,
         )
-        left, half = 12 * ratio, 6 * ratio
+        left, half_width = 12 * ratio, 6 * ratio
         if playing:
-            for start in (left, left + half):
-                draw.rectangle((start, middle - half, start + half / 2, middle + half), _WHITE)
+            for start in (left, left + half_width):
+                draw.rectangle(
+                    (start, middle - half_width, start + half_width / 2, middle + half_width),
+                    _WHITE,
+                )
         else:
-            corners = [(left, middle - half), (left, middle + half), (left + 1.6 * half, middle)]
+            corners = [
+                (left, middle - half_width),
+                (left, middle + half_width),
+                (left + 1.6 * half_width, middle),
+            ]
             draw.polygon(corners, _WHITE)
         font = _font(round(_TEXT_SIZE_PIXELS * ratio * 0.9))
         draw.text((high + 14 * ratio, middle), _printable(label), _WHITE, font, anchor="lm")

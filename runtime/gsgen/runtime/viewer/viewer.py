@@ -191,8 +191,8 @@ class Viewer:
         drawn = self._renderer.drawn
         if drawn is None:
             return 1
-        full_seconds = self._renderer.seconds * self._size[0] / max(1, drawn.row)
-        return int(np.clip(math.ceil(full_seconds / _MAX_SECONDS), 1, _MAX_COARSENESS))
+        full_size_seconds = self._renderer.seconds * self._size[0] / max(1, drawn.row)
+        return int(np.clip(math.ceil(full_size_seconds / _MAX_SECONDS), 1, _MAX_COARSENESS))
 
     @property
     def slider(self) -> Slider | None:
@@ -391,9 +391,9 @@ class Viewer:
     }
 
 
-def _next_choice(choices: Sequence[Choice], current: Choice) -> Choice:
+def _next_choice(choices: Sequence[Choice], current_choice: Choice) -> Choice:
     """Return the value that follows the current one in a cyclic list of choices."""
-    return choices[(choices.index(current) + 1) % len(choices)]
+    return choices[(choices.index(current_choice) + 1) % len(choices)]
 
 
 def _unused_screenshot_path(folder: Path) -> Path:

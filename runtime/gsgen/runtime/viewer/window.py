@@ -1,6 +1,6 @@
 """Shows a viewer on a rendercanvas canvas, in a window or a notebook."""
 
-__all__ = ["accept_drops", "attach", "open_window", "require_display", "view"]
+__all__ = ["accept_dropped_files", "attach", "open_window", "require_display", "view"]
 
 import sys
 from collections.abc import Callable, Sequence
@@ -101,13 +101,13 @@ def open_window(
     width, height = (max(1, round(side * scale)) for side in size)
     canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_MAX_FPS)
     open_error = attach(viewer, canvas, after_draw)
-    accept_drops(viewer, canvas)
+    accept_dropped_files(viewer, canvas)
     loop.run()
     if (error := open_error()) is not None:
         raise error
 
 
-def accept_drops(viewer: Viewer, canvas: "BaseRenderCanvas") -> None:
+def accept_dropped_files(viewer: Viewer, canvas: "BaseRenderCanvas") -> None:
     """Open files that are dropped on a viewer's window.
 
     rendercanvas 2.7 has no drop event; the glfw window of its canvas has one.

@@ -80,10 +80,10 @@ class LocalServer(ThreadingHTTPServer):
         """Answer a connection on a thread; where there are too many, close the idlest."""
         with self._lock:
             if len(self._waiting_sockets) + len(self._answering_sockets) >= _MAX_CONNECTIONS:
-                idlest = next(iter(self._waiting_sockets), request)
+                longest_idle_socket = next(iter(self._waiting_sockets), request)
                 with suppress(OSError):  # the client closed it already
-                    idlest.shutdown(socket.SHUT_RDWR)  # its thread ends
-                self._waiting_sockets.pop(idlest, None)
+                    longest_idle_socket.shutdown(socket.SHUT_RDWR)  # its thread ends
+                self._waiting_sockets.pop(longest_idle_socket, None)
             self._waiting_sockets[request] = None
         super().process_request(request, client_address)
 

@@ -130,9 +130,9 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
 
 def served_page(models: Mapping[str, Path], view: ModelView) -> str:
     """Return the HTML page that shows the models at the given addresses of a server."""
-    figures = [_figure_html(address, path, view) for address, path in models.items()]
+    figures_html = [_figure_html(address, path, view) for address, path in models.items()]
     script = '<script type="module" src="/gsgen/gsgen.js"></script>'
-    return _page([path.name for path in models.values()], [script], figures, _RELOAD_SCRIPT)
+    return _page([path.name for path in models.values()], [script], figures_html, _RELOAD_SCRIPT)
 
 
 _RELOAD_SCRIPT: Final = """
@@ -176,9 +176,9 @@ def single_file_page(
         wasm = (ort / "ort-wasm-simd-threaded.asyncify.wasm").read_bytes()
         head.append(_inline_script("gsgen-ort-wasm", wasm))
     head += [_inline_script(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
-    figures = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
+    figures_html = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
     start = '<script type="module">import "gsgen/gsgen.js";</script>'
-    return _page([path.name for path in models], head, figures, start)
+    return _page([path.name for path in models], head, figures_html, start)
 
 
 def _inlined_modules() -> dict[str, str]:
@@ -207,7 +207,7 @@ def _figure_html(address: str, path: Path, view: ModelView) -> str:
     )
 
 
-def _page(names: list[str], head: list[str], figures: list[str], end: str) -> str:
+def _page(names: list[str], head: list[str], figures_html: list[str], end: str) -> str:
     title = for_html(", ".join(names))
     return "\n".join(
         [
@@ -216,7 +216,7 @@ def _page(names: list[str], head: list[str], figures: list[str], end: str) -> st
             f"<title>{title}</title>\n<style>{_STYLE}</style>",
             *head,
             "<main>",
-            *figures,
+            *figures_html,
             "</main>",
             end,
             "</html>\n",

@@ -393,16 +393,16 @@ def _count(
         for cells, counts in run.phase("count", total, run_count, tasks):
             for cell, count in zip(cells.tolist(), counts.tolist(), strict=True):
                 known[cell] = known.get(cell, 0) + count
-        crowded_cells = [
+        overfull_cells = [
             cell for cell, count in known.items() if count > limit and depth_of(cell) == depth
         ]
-        if not crowded_cells or depth == DEPTH:
+        if not overfull_cells or depth == DEPTH:
             break
-        for cell in crowded_cells:
+        for cell in overfull_cells:
             del known[cell]
         parent_depth = depth
         parent_cells = np.array(
-            sorted(cell - (1 << 3 * depth) for cell in crowded_cells), np.uint64
+            sorted(cell - (1 << 3 * depth) for cell in overfull_cells), np.uint64
         )
         depth = min(DEPTH, depth + _DEPTH_STEP)
     table = sorted(known.items())

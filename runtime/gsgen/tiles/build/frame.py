@@ -68,10 +68,10 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
     for option, (value, limit) in limits.items():
         if not abs(value) <= limit:
             raise ConfigInvalid(f"is {value}; expected -{limit:g} to {limit:g}", where=option)
-    east, north = math.radians(longitude), math.radians(latitude)
+    longitude_radians, north = math.radians(longitude), math.radians(latitude)
     sin_east, cos_east, sin_north, cos_north = (
-        math.sin(east),
-        math.cos(east),
+        math.sin(longitude_radians),
+        math.cos(longitude_radians),
         math.sin(north),
         math.cos(north),
     )
@@ -79,7 +79,7 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
     matrix[:3, 0] = -sin_east, cos_east, 0
     matrix[:3, 1] = -sin_north * cos_east, -sin_north * sin_east, cos_north
     matrix[:3, 2] = cos_north * cos_east, cos_north * sin_east, sin_north
-    matrix[:3, 3] = ecef(np.array([east]), np.array([north]), np.array([height]))[0]
+    matrix[:3, 3] = ecef(np.array([longitude_radians]), np.array([north]), np.array([height]))[0]
     return _columns(matrix @ Z_UP_FROM_SCENE)
 
 

@@ -1,6 +1,6 @@
 """Writes the tiles of a part of the octree, leaves first, and the tiles above all parts."""
 
-__all__ = ["build_partition", "build_top", "load_built"]
+__all__ = ["build_partition", "build_top_levels", "load_built"]
 
 from pathlib import Path
 
@@ -69,12 +69,14 @@ def _build_cell(
     names, counts = np.unique(octants, return_counts=True)
     limits = np.concatenate([[0], np.cumsum(counts)])
     for group in group_small_octants(counts.tolist(), 0 if implicit else leaf):
-        inside = slice(limits[group[0]], limits[group[-1] + 1])
+        group_rows = slice(limits[group[0]], limits[group[-1] + 1])
         child = 1 << 3 * (depth + 1) | int(names[group[0]])
         if len(group) > 1:
-            parts.append(_write_leaf_tile(plan, rows[inside], codes[inside], child))
+            parts.append(_write_leaf_tile(plan, rows[group_rows], codes[group_rows], child))
         else:
-            parts.append(_build_cell(plan, rows[inside], codes[inside], anchors[inside], child))
+            parts.append(
+                _build_cell(plan, rows[group_rows], codes[group_rows], anchors[group_rows], child)
+            )
     if extra is not None:
         parts.append(extra)
     return _write_parent(plan, location, parts)
@@ -105,7 +107,7 @@ def _write_parent(plan: Plan, location: int, parts: list[BuiltTiles]) -> BuiltTi
     return [write_level(plan, level, location, tiles)], level.mixture
 
 
-def build_top(plan: Plan, location: int) -> int:
+def build_top_levels(plan: Plan, location: int) -> int:
     """Write the tile of an octree cell above all partitions if it does not exist yet.
 
     The cells below it have to be built. Returns 0: no splat of the scenes is new here.

@@ -196,7 +196,7 @@ def partition_of(
         index = np.array([number for _, number in members], np.int64)
         cells = location_codes(codes, np.full(len(codes), depth), depth)
         slot = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-        inside = known[slot] == cells
-        inside &= anchors == depth if is_anchored else anchors >= depth
-        result[inside] = index[slot[inside]]
+        is_known_cell = known[slot] == cells
+        is_known_cell &= anchors == depth if is_anchored else anchors >= depth
+        result[is_known_cell] = index[slot[is_known_cell]]
     return result

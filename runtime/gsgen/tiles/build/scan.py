@@ -136,8 +136,8 @@ def count_cells(
         else np.full(len(codes), DEPTH, np.int64)
     )
     if parent_cells is not None:
-        inside = np.isin(cell_codes(codes, parent_depth), parent_cells)
-        inside &= anchors >= parent_depth
-        codes, anchors = codes[inside], anchors[inside]
+        is_in_parent_cell = np.isin(cell_codes(codes, parent_depth), parent_cells)
+        is_in_parent_cell &= anchors >= parent_depth
+        codes, anchors = codes[is_in_parent_cell], anchors[is_in_parent_cell]
     cells, counts = np.unique(location_codes(codes, anchors, depth), return_counts=True)
     return cells, counts.astype(np.int64)

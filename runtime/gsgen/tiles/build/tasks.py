@@ -23,7 +23,7 @@ from jaxtyping import Int64, UInt64
 
 from gsgen.formats.merging.morton import Cube
 from gsgen.tiles.build.files import read_json, save_array, write_json
-from gsgen.tiles.build.octree import build_partition, build_top
+from gsgen.tiles.build.octree import build_partition, build_top_levels
 from gsgen.tiles.build.plan_file import load_plan
 from gsgen.tiles.build.scan import ChunkFacts, count_cells, scan_chunk
 from gsgen.tiles.build.source import Chunk
@@ -127,4 +127,4 @@ def run_partition(task: PlanTask) -> tuple[int, None]:
 
 def run_parent_cell(task: PlanTask) -> tuple[int, None]:
     """Write the tile of an octree cell above the partitions."""
-    return build_top(load_plan(task.plan), task.item), None
+    return build_top_levels(load_plan(task.plan), task.item), None

@@ -227,8 +227,8 @@ def _properties(tile: TileRecord) -> JsonDict:
 
 def box_numbers(low: BoxCorner, high: BoxCorner) -> list[float]:
     """Return an axis-aligned box as 3D Tiles encodes it: the centre, and three half axes."""
-    half = np.diag((np.asarray(high) - low) / 2)
-    return [float(value) for value in [*((np.asarray(high) + low) / 2), *half.ravel()]]
+    half_axes = np.diag((np.asarray(high) - low) / 2)
+    return [float(value) for value in [*((np.asarray(high) + low) / 2), *half_axes.ravel()]]
 
 
 def write_build_record(

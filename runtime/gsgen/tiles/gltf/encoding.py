@@ -74,9 +74,9 @@ def write_content(
     """
     require_drawable(splats)
     position = splats.position.astype(np.float64) - center
-    cut = splats.sh[:, : SH_COUNTS[min(splats.degree, MAX_DEGREE)]]
+    truncated_sh = splats.sh[:, : SH_COUNTS[min(splats.degree, MAX_DEGREE)]]
     local = to_content_axes(
-        replace(splats, position=position.astype(np.float32), sh=np.ascontiguousarray(cut))
+        replace(splats, position=position.astype(np.float32), sh=np.ascontiguousarray(truncated_sh))
     )
     document, binary, stored_splats = CODECS[codec](local, quality)
     document["nodes"] = [{"matrix": _translation(center), "mesh": 0}]

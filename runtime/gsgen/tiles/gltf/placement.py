@@ -29,7 +29,7 @@ class PlacedSplats:
         """The centres of the splats in the parent frame, in float64."""
         return np.asarray(self.splats.position.astype(np.float64) + self.origin)
 
-    def around(self, origin: Float64[np.ndarray, " 3"]) -> Splats:
+    def relative_to_origin(self, origin: Float64[np.ndarray, " 3"]) -> Splats:
         """Return the splats relative to another origin, with positions rounded to float32 there."""
         position = (self.positions() - origin).astype(np.float32)
         return replace(self.splats, position=position)
@@ -52,4 +52,4 @@ def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
 
 def join_placed(parts: Sequence[PlacedSplats], origin: Float64[np.ndarray, " 3"]) -> Splats:
     """Join sets of splats with float64 origins into one set with one origin."""
-    return join_splats([part.around(origin) for part in parts])
+    return join_splats([part.relative_to_origin(origin) for part in parts])

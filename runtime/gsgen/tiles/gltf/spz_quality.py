@@ -132,8 +132,8 @@ def _round_to_bits(data: bytes, bits: int, *, least: int) -> bytes:
         return data
     step = 1 << (8 - bits)
     values: UInt8[np.ndarray, " n"] = np.frombuffer(data, np.uint8)
-    coarse = np.minimum((values.astype(np.uint16) + step // 2) // step * step, 255)
-    return np.where(values > 0, np.maximum(coarse, least), 0).astype(np.uint8).tobytes()
+    coarse_values = np.minimum((values.astype(np.uint16) + step // 2) // step * step, 255)
+    return np.where(values > 0, np.maximum(coarse_values, least), 0).astype(np.uint8).tobytes()
 
 
 def _packing_order(content: Mapping[str, bytes]) -> Int64[np.ndarray, " n"]:

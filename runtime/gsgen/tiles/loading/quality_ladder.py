@@ -99,10 +99,10 @@ def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | N
     finest_quality = tileset.metadata.get("quality", 0)
     if not isinstance(finest_quality, int) or not 0 <= finest_quality < count - 1:
         return None
-    absent = [np.inf] * count
+    missing_errors = [np.inf] * count
     return QualityLadder(
         tiles=tuple(ladder.values())[finest_quality:],
-        size=np.array([size or absent for size in sizes], np.float64)[:, finest_quality:],
+        size=np.array([size or missing_errors for size in sizes], np.float64)[:, finest_quality:],
         quality_scores=np.array([SSIM[quality] for quality in ladder])[finest_quality:],
     )
 

@@ -69,8 +69,12 @@ class TrajectoryModel:
         histories = [entry for entry in manifest.inputs if entry.role == _HISTORY_INPUT]
         state = STATE_SIZES[manifest.outputs.future.representation]
         shape = (histories[0].shape or ()) if len(histories) == 1 else ()
-        fits = len(shape) == 2 and shape[1] == state and isinstance(shape[0], int)
-        if not (fits and 1 <= int(shape[0]) <= _MAX_HISTORY_LENGTH and manifest.step_seconds > 0):
+        has_fitting_shape = len(shape) == 2 and shape[1] == state and isinstance(shape[0], int)
+        if not (
+            has_fitting_shape
+            and 1 <= int(shape[0]) <= _MAX_HISTORY_LENGTH
+            and manifest.step_seconds > 0
+        ):
             raise InputUnreadable(
                 f"the model's input of past camera poses has shape {list(shape)} and a time step of "
                 f"{manifest.step_seconds} s, expected [T, {state}] with T from 1 to {_MAX_HISTORY_LENGTH} and a "
@@ -154,7 +158,7 @@ class OnnxPredictor:
         while len(self._poses) > 2 and self._poses[1].time < pose.time - span:
             self._poses.popleft()
 
-    def predict(self, ahead: Sequence[float]) -> list[Pose]:
+    def predict(self, seconds_ahead: Sequence[float]) -> list[Pose]:
         """Return predicted poses at times after the last frame, interpolated between time steps."""
         if not self._poses:
             return []
@@ -177,4 +181,4 @@ class OnnxPredictor:
             model.pose(last.time + step * model.step_seconds, state)
             for step, state in enumerate(future, 1)
         ]
-        return [interpolate([last, *predicted], last.time + seconds) for seconds in ahead]
+        return [interpolate([last, *predicted], last.time + seconds) for seconds in seconds_ahead]

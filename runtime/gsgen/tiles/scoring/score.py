@@ -131,14 +131,14 @@ def score_tileset(
         levels = []
         for level in range(_depth(tileset) + 1):
             progress(f"drawing level {level} of {_depth(tileset)}")
-            cut = list(level_cut(tileset.root, level))
-            drawn, size = _read(store, tileset, cut)
+            level_contents = list(level_cut(tileset.root, level))
+            drawn, size = _read(store, tileset, level_contents)
             renders = _draw(renderer, drawn, cameras)
             pictures[f"level {level}"] = _first_picture_by_level(renders)
             levels.append(
                 LevelScore(
                     level=level,
-                    tiles=len(cut),
+                    tiles=len(level_contents),
                     splats=len(drawn),
                     bytes=size,
                     ssim={name: _similarity(renders[name], expected[name]) for name in renders},
@@ -177,16 +177,18 @@ def _depth(tileset: Tileset) -> int:
     return max_depth
 
 
-def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tuple[Splats, int]:
+def _read(
+    store: Store, tileset: Tileset, level_contents: list[tuple[Tile, Content]]
+) -> tuple[Splats, int]:
     """Return the splats of tile contents as one set, and the bytes of their files."""
     parts, size = [], 0
-    for tile, content in cut:
+    for tile, content in level_contents:
         size += store.size(content.uri)
         placed = read_tile_content(store, tileset, tile, content)
-        parts += [entry.around(np.zeros(3)) for entry in placed]
+        parts += [entry.looking_at_bounds(np.zeros(3)) for entry in placed]
     if not parts:
         raise TilesetInvalid(
-            f"a level of detail of the tileset ({len(cut)} tiles) has no splats",
+            f"a level of detail of the tileset ({len(level_contents)} tiles) has no splats",
             location=tileset.index,
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,

@@ -187,13 +187,21 @@ def _region_box(region: Region) -> Box:
         return Box(np.zeros(3), np.eye(3) * (_GLOBE_RADIUS + max(region.maximum, 0.0)))
     cells = range(_GRID_POINTS)
     points = np.concatenate([_region_cell(region, x, y).samples() for x in cells for y in cells])
-    east = region.west + region.width / 2
+    east_longitude = region.west + region.width / 2
     north = (region.south + region.north) / 2
     axes = np.array(
         [
-            [-np.sin(east), np.cos(east), 0],
-            [-np.sin(north) * np.cos(east), -np.sin(north) * np.sin(east), np.cos(north)],
-            [np.cos(north) * np.cos(east), np.cos(north) * np.sin(east), np.sin(north)],
+            [-np.sin(east_longitude), np.cos(east_longitude), 0],
+            [
+                -np.sin(north) * np.cos(east_longitude),
+                -np.sin(north) * np.sin(east_longitude),
+                np.cos(north),
+            ],
+            [
+                np.cos(north) * np.cos(east_longitude),
+                np.cos(north) * np.sin(east_longitude),
+                np.sin(north),
+            ],
         ]
     )
     along = points @ axes.T

@@ -93,7 +93,7 @@ class SimulatedLink:
         self._transfers: list[_PendingTransfer] = []
 
     @property
-    def free(self) -> int:
+    def free_request_count(self) -> int:
         """Return how many more tile requests the simulated network link accepts now."""
         return self._connections - len(self._transfers)
 
@@ -124,9 +124,9 @@ class SimulatedLink:
         while True:
             now = self._clock.now()
             # 1. Deliver a transfer that is complete.
-            active = [entry for entry in self._transfers if entry.start <= now]
+            active_transfers = [entry for entry in self._transfers if entry.start <= now]
             completed_transfers = [
-                entry for entry in active if entry.remaining <= _TRANSFER_EPSILON_BYTES
+                entry for entry in active_transfers if entry.remaining <= _TRANSFER_EPSILON_BYTES
             ]
             if completed_transfers:
                 self._transfers.remove(completed_transfers[0])
@@ -134,14 +134,14 @@ class SimulatedLink:
             if now >= end_time:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
-            share = self._trace.rate(now) / max(len(active), 1)
+            share = self._trace.rate(now) / max(len(active_transfers), 1)
             waiting = [entry.start for entry in self._transfers if entry.start > now]
             moment = min([end_time, self._trace.next_change(now), *waiting])
-            if active and share > 0:
-                least = min(entry.remaining for entry in active)
+            if active_transfers and share > 0:
+                least = min(entry.remaining for entry in active_transfers)
                 moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))
             # 3. Move all transfers to that moment; until then each has an equal share of the rate.
-            for entry in active:
+            for entry in active_transfers:
                 received_bytes = share * (moment - now)
                 remaining_bytes = entry.remaining - received_bytes
                 # Rounding of a late time may leave a part of a byte.

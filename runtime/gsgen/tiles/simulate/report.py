@@ -62,8 +62,8 @@ def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
         raise ConfigInvalid(
             "Matplotlib is not installed", where=str(path), hint="pip install 'gsgen[plots]'"
         ) from error
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    plot_figure = Figure(figsize=(8, 5), layout="constrained")
+    canvas = FigureCanvasAgg(plot_figure)
     kind = path.suffix.lower().lstrip(".")
     known = canvas.get_supported_filetypes()
     if kind not in known:
@@ -71,7 +71,7 @@ def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
             f"is {path.suffix or 'without a suffix'}, expected one of {', '.join(sorted(known))}",
             where=f"--plot {path}",
         )
-    upper_axes, lower_axes = figure.subplots(2, sharex=True)
+    upper_axes, lower_axes = plot_figure.subplots(2, sharex=True)
     for simulation in simulations:
         upper_axes.step(
             simulation.times, simulation.share_loaded, where="post", label=simulation.policy
@@ -84,4 +84,4 @@ def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
     # Without dates and versions: equal simulations give equal files.
     metadata = {"Software": None} if kind == "png" else {}
     with replace_file(path) as file:
-        figure.savefig(file, format=kind, metadata=metadata)
+        plot_figure.savefig(file, format=kind, metadata=metadata)

@@ -46,12 +46,12 @@ class FolderStore(Store):
         file = self._folder / path
         try:
             status = file.stat()
-            inside = file.resolve().is_relative_to(self._resolved)
+            is_inside_folder = file.resolve().is_relative_to(self._resolved)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise missing(self.name, path) from error
         except (OSError, ValueError) as error:
             raise self._unreadable_file_error(path, error) from error
-        if not inside:
+        if not is_inside_folder:
             raise TilesetInvalid(
                 "the path is a link that leads out of the folder",
                 location=f"{self.name}: {path}",

@@ -93,7 +93,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
         self._fetch_crash: Exception | None = None
 
     @property
-    def free(self) -> int:
+    def free_request_count(self) -> int:
         """The number of tile requests that can be made now."""
         with self._lock:
             return self._connections - len(self._active_requests)

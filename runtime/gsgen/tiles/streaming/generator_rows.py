@@ -91,8 +91,8 @@ def _require_valid(
     opacity = rows[:, layout.OPACITY]
     outside = np.zeros(len(rows), bool)
     drawn = finite & (opacity > 0)
-    far = box.outside(rows[drawn, layout.POSITION].astype(np.float64) + origin)
-    outside[drawn] = ~(far <= _BOUNDS_TOLERANCE * box.size)
+    is_outside_bounds = box.outside(rows[drawn, layout.POSITION].astype(np.float64) + origin)
+    outside[drawn] = ~(is_outside_bounds <= _BOUNDS_TOLERANCE * box.size)
     checks = {
         "are not finite": (~finite, "finite numbers"),
         "have an invalid opacity": (~((opacity >= 0) & (opacity <= 1)), "0 <= opacity <= 1"),

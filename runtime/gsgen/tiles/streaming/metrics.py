@@ -131,15 +131,15 @@ class MetricsRecorder:
             for entries in self._wanted_times_by_tile.values()
             for entry in entries
         ]
-        delays = np.array([*self._tile_delays, *waits])
-        count = len(delays)
+        tile_delays = np.array([*self._tile_delays, *waits])
+        count = len(tile_delays)
         return StreamingMetrics(
             hit_rate=self._hit_count / count if count else 1.0,
             waste=self.unseen_bytes / self.bytes if self.bytes else 0.0,
             first_good_s=self._first_good_frame_time,
             share_good=self._good_frame_count / self._frames if self._frames else 1.0,
-            mean_delay_s=float(delays.mean()) if count else 0.0,
-            p95_delay_s=float(np.percentile(delays, 95)) if count else 0.0,
+            mean_delay_s=float(tile_delays.mean()) if count else 0.0,
+            p95_delay_s=float(np.percentile(tile_delays, 95)) if count else 0.0,
             hole_frames=self._hole_frame_count,
             entries=count,
             bytes=self.bytes,

@@ -371,18 +371,18 @@ class NeuralTiles:
         for tile in tiles:
             if tile in self._open_generators:
                 self._open_generators[tile].last_drawn = time
-        excess = sum(
+        excess_generator_count = sum(
             tile not in self._open_generators and tile not in self._loading_generators
             for tile in tiles
         )
-        excess -= (
+        excess_generator_count -= (
             self._options.sessions - len(self._open_generators) - len(self._loading_generators)
         )
         unused = sorted(
             (tile for tile in self._open_generators if tile not in tiles),
             key=lambda tile: (self._open_generators[tile].last_drawn, tile),
         )
-        for tile in unused[: max(excess, 0)]:
+        for tile in unused[: max(excess_generator_count, 0)]:
             self._release_generator(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:

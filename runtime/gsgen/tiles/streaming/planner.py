@@ -35,7 +35,7 @@ class Link(Protocol):
     """Protocol of network links: connections to a server of tiles, real or simulated."""
 
     @property
-    def free(self) -> int:
+    def free_request_count(self) -> int:
         """The number of tile requests that can be made now."""
         ...
 
@@ -121,7 +121,7 @@ class RequestPlanner:
             loaded: Tiles that are there, or cannot be had.
             finer_tiles: Loaded tiles that have a finer file, in order of request.
         """
-        while self._fetch_link.free > 0:
+        while self._fetch_link.free_request_count > 0:
             tile, purpose = self._next_request(loaded, finer_tiles)
             if tile is None:
                 break

@@ -49,7 +49,7 @@ class ResidentTiles:
         kept_mask[0] = True
         return kept_mask
 
-    def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
+    def admit_tile(self, tile: int, time: float) -> tuple[int, ...] | None:
         """Record that a streamed tile is in the renderer's GPU memory (splat pool) from now on.
 
         Returns:

@@ -294,18 +294,18 @@ class TilesetSession:
         # 4. Draw the tiles that are there in place of those that are not.
         drawn = drawable_tiles(self.tree, cut, is_available)
         self._tile_fades.frame(time, drawn, cut.seen)
-        fades = self._tile_fades.values
+        opacity_factors = self._tile_fades.values
         missing = int((cut.selected & ~is_available & ~is_failed).sum())
         frame = SessionFrame(
             evicted=evicted,
             arrivals=arrivals,
             drawn=tuple(
-                DrawnTile(tile, float(fades[tile]))
-                for tile in np.flatnonzero((fades > 0) & ~self._is_contentless).tolist()
+                DrawnTile(tile, float(opacity_factors[tile]))
+                for tile in np.flatnonzero((opacity_factors > 0) & ~self._is_contentless).tolist()
             ),
             missing=missing,
             retried=int((cut.selected & is_failed & self._failed_tiles.is_awaited).sum()),
-            absent=tuple(np.flatnonzero(cut.selected & (is_failed | ~is_available)).tolist()),
+            absent_tiles=tuple(np.flatnonzero(cut.selected & (is_failed | ~is_available)).tolist()),
             is_complete=missing == 0
             and self._tile_fades.is_settled
             and (
@@ -361,19 +361,19 @@ class TilesetSession:
     def _cut_within_budget(self, frustum: Frustum) -> TileCut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
 
-        def fits(cut: TileCut) -> bool:
+        def is_within_budget(cut: TileCut) -> bool:
             return int(self._slots[cut.seen].sum()) <= self.pool_slots
 
         error = self._options.max_error
         for _ in range(_MAX_ERROR_STEPS):
             cut = cut_tree(self.tree, frustum, error)
-            if fits(cut):
+            if is_within_budget(cut):
                 return cut
             error *= _ERROR_STEP
         # Tiles with the camera inside have an infinite error: fewer levels fit.
         for level in range(len(self.tree.rows_of_level) - 1, -1, -1):
             cut = cut_tree(self.tree, frustum, error, max_level=level)
-            if fits(cut):
+            if is_within_budget(cut):
                 break
         return cut
 
@@ -423,7 +423,7 @@ class TilesetSession:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
             needed = -(-len(arrival.rows) // self.slot_rows)
             self._slots[tile] = max(int(self._slots[tile]), needed)
-        victims = self._resident_tiles.admit(tile, time)
+        victims = self._resident_tiles.admit_tile(tile, time)
         if victims is None:
             return None
         self._resident_tiles.protect(tile)  # no other arrival of the frame displaces it
@@ -456,9 +456,9 @@ class TilesetSession:
         Without them, a renderer of few frames a second would request few tiles a second.
         """
         row_bytes = pool_row_bytes(3 * coefficients(self.sh_degree))
-        incoming_tiles = [*self._planner.in_flight, *self._pending]
+        pending_tiles_in_order = [*self._planner.in_flight, *self._pending]
         remaining_bytes = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(
-            self.tree.splats[incoming_tiles].sum()
+            self.tree.splats[pending_tiles_in_order].sum()
         )
         missing = self._planner.missing(loaded)
         uploads = np.cumsum(row_bytes * self.tree.splats[missing])

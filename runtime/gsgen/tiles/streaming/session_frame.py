@@ -110,7 +110,7 @@ class SessionFrame:
         drawn: Tiles to draw; ascending keys.
         missing: How many tiles the camera wants that are not resident, and may still come.
         retried: How many tiles the camera wants whose requests failed, and are soon repeated.
-        absent: Keys of the tiles that the camera wants and that are not resident at their finest,
+        absent_tiles: Keys of the tiles that the camera wants and that are not resident at their finest,
             those that cannot be had too.
         is_complete: Whether everything that the camera wants is resident, at the finest quality,
             and drawn without a fade; tiles that cannot be had do not count.
@@ -121,7 +121,7 @@ class SessionFrame:
     drawn: tuple[DrawnTile, ...]
     missing: int
     retried: int = 0
-    absent: tuple[int, ...] = ()
+    absent_tiles: tuple[int, ...] = ()
     is_complete: bool
 
 

@@ -105,7 +105,7 @@ class TilesSource(Source):
 
     def _note_shortfall(self, frame: SessionFrame) -> None:
         """Keep what a frame lacks that was waited for."""
-        self._absent_tiles.update(frame.absent)
+        self._absent_tiles.update(frame.absent_tiles)
         seconds = f"within {self._waits_for_tiles:g} s"
         if frame.missing:
             self._late_tiles_note = (

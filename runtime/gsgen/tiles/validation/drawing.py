@@ -48,12 +48,12 @@ class DrawnTile:
     Attributes:
         uri: Of the content.
         splats: How many it has.
-        covered: The highest alpha of any pixel of any picture, in [0, 1].
+        covered_mask: The highest alpha of any pixel of any picture, in [0, 1].
     """
 
     uri: str
     splats: int
-    covered: float
+    covered_mask: float
 
 
 @final
@@ -111,9 +111,11 @@ def draw_tileset(tileset: Tileset, store: Store, counts: dict[str, int]) -> Draw
         leaves, key=lambda tile: tile_renderer.count(_contents_of(tile)), default=content_tiles[-1]
     )
     parents = {id(child): parent for parent, child in tileset.pairs()}
-    coarse = [tile for tile in (content_tiles[0], parents.get(id(leaf))) if _is_replaced(tile)]
+    coarse_tiles = [
+        tile for tile in (content_tiles[0], parents.get(id(leaf))) if _is_replaced(tile)
+    ]
     tiles = [tile_renderer.draw(tile) for tile in _distinct_tiles([content_tiles[0], leaf])]
-    levels = [tile_renderer.compare(tile) for tile in _distinct_tiles(coarse)]
+    levels = [tile_renderer.compare(tile) for tile in _distinct_tiles(coarse_tiles)]
     return DrawnTileset(
         tiles=tuple(entry for entry in tiles if entry is not None),
         levels=tuple(entry for entry in levels if entry is not None),
@@ -157,14 +159,14 @@ class _TileRenderer:
         if self._is_too_large(TILE_VISIBLE_RULE, cut):
             return None
         parts = self._read(cut)
-        view = _View.around(parts, self._scene_up_direction)
+        view = _View.looking_at_bounds(parts, self._scene_up_direction)
         pictures = self._pictures(
             join_placed(parts, view.center), view.cameras(_CAMERA_DISTANCE_RADII)
         )
         return DrawnTile(
             uri=tile.contents[0].uri,
             splats=self.count(cut),
-            covered=max(float(picture[..., 3].max()) for picture in pictures),
+            covered_mask=max(float(picture[..., 3].max()) for picture in pictures),
         )
 
     def compare(self, parent: Tile) -> ComparedLevels | None:
@@ -176,7 +178,7 @@ class _TileRenderer:
         if not child_parts:
             return None
         scale = float(np.cbrt(np.linalg.det(parent.transform[:3, :3])))
-        view = _View.around(
+        view = _View.looking_at_bounds(
             parent_parts + child_parts,
             self._scene_up_direction,
             error=parent.geometric_error * scale,
@@ -197,11 +199,11 @@ class _TileRenderer:
     def _scene_up_direction(self) -> Float64[np.ndarray, " 3"]:
         return self._tileset.up
 
-    def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
+    def _is_too_large(self, rule: str, *level_cuts: list[tuple[Tile, Content]]) -> bool:
         """Return whether tiles have too many splats to draw; if so, note that a rule is skipped."""
-        count = max(map(self.count, cuts))
+        count = max(map(self.count, level_cuts))
         if count > MAX_DRAWN_SPLATS:
-            tile = cuts[0][0][0]
+            tile = level_cuts[0][0][0]
             self.skipped[rule] = (
                 f"{tile.location}: {count:,} splats, and {MAX_DRAWN_SPLATS:,} are drawn at most"
             )
@@ -246,7 +248,7 @@ class _View:
     pixels: float
 
     @classmethod
-    def around(
+    def looking_at_bounds(
         cls, parts: list[PlacedSplats], up: Float64[np.ndarray, " 3"], error: float = 0.0
     ) -> "_View":
         """Return a view from the distance at which viewers load finer tiles for a geometric error.
@@ -290,14 +292,14 @@ class _View:
 
 def _similarity(a: _RGBA, b: _RGBA) -> float:
     """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
-    covered = (a[..., 3] > 0) | (b[..., 3] > 0)
-    rows, columns = (_covered_slice(np.asarray(covered.any(axis=axis))) for axis in (1, 0))
+    covered_mask = (a[..., 3] > 0) | (b[..., 3] > 0)
+    rows, columns = (_covered_slice(np.asarray(covered_mask.any(axis=axis))) for axis in (1, 0))
     return ssim(a[rows, columns, :3], b[rows, columns, :3])
 
 
-def _covered_slice(covered: np.ndarray) -> slice:
+def _covered_slice(covered_mask: np.ndarray) -> slice:
     """Return the range of covered pixels along an axis, at least as long as the SSIM window."""
-    indices = np.flatnonzero(covered)
+    indices = np.flatnonzero(covered_mask)
     first, last = (int(indices[0]), int(indices[-1])) if len(indices) else (0, 0)
     missing = max(_WINDOW - (last + 1 - first), 0)
     first = max(first - missing, 0)

@@ -85,14 +85,14 @@ def explicit_sketch(
         edit_root: Changes the splats of the root's content, a third of those of the leaves.
     """
     leaves = [sample_splats(_ROW_COUNT, center, seed=n) for n, center in enumerate(_TILE_CENTERS)]
-    coarse = join_splats([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
+    coarse_splats = join_splats([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
     if edit_root is not None:
-        coarse = edit_root(coarse)
+        coarse_splats = edit_root(coarse_splats)
     if leaf_rows > _ROW_COUNT:
         leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
     files: dict[str, bytes] = {}
     children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
-    root = _record(coarse, 0, (0, 0, 0), codec, files)
+    root = _record(coarse_splats, 0, (0, 0, 0), codec, files)
     root = replace(
         root, geometric_error=_GEOMETRIC_ERROR, cell=_GEOMETRIC_ERROR / 4, children=children
     )
@@ -160,13 +160,13 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
     for level in (1, 0):
         for x, y, z in sorted({_parent_coordinates(cell, 2 - level) for cell in cells}):
             inner = [cell for cell in cells if _parent_coordinates(cell, 2 - level) == (x, y, z)]
-            coarse = join_splats([_rows(leaves[cell], slice(0, 8)) for cell in inner])
+            coarse_splats = join_splats([_rows(leaves[cell], slice(0, 8)) for cell in inner])
             below = [
                 entry
                 for (depth, cell), entry in records.items()
                 if depth == level + 1 and _parent_coordinates(cell, 1) == (x, y, z)
             ]
-            entry = _record(coarse, level, (x, y, z), codec, files, implicit=True)
+            entry = _record(coarse_splats, level, (x, y, z), codec, files, implicit=True)
             records[level, (x, y, z)] = replace(
                 entry, geometric_error=0.5 * (2 - level), children=tuple(below)
             )

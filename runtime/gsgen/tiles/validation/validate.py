@@ -121,7 +121,7 @@ def _check_tileset(
             _draw(inspected, progress)
         results.check(rule, inspected)
         reason = _incomplete_reason(rule, inspected)
-        if reason and not results.fails(rule):
+        if reason and not results.has_failing_finding(rule):
             results.skip([rule], reason)
         results.settle([rule], items=items)
 

@@ -236,9 +236,9 @@ def _splats(archive: TorchArchive, layout: _CheckpointLayout) -> Splats:
 
 
 def _joined(
-    constant: Float32[np.ndarray, "..."], higher: Float32[np.ndarray, "n k 3"]
+    constant: Float32[np.ndarray, "..."], higher_sh: Float32[np.ndarray, "n k 3"]
 ) -> Float32[np.ndarray, "n l 3"]:
-    return np.concatenate([constant.reshape(len(higher), 1, 3), higher], axis=1)
+    return np.concatenate([constant.reshape(len(higher_sh), 1, 3), higher_sh], axis=1)
 
 
 def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> None:
@@ -250,8 +250,15 @@ def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> N
             where=names[2],
             expected="three scales",
         )
-    higher = tuple((n, count - 1, 3) for count in SH_COUNTS)
-    allowed_shapes = (((n, 3),), ((n, 4),), ((n, 3),), ((n,), (n, 1)), ((n, 1, 3), (n, 3)), higher)
+    higher_sh = tuple((n, count - 1, 3) for count in SH_COUNTS)
+    allowed_shapes = (
+        ((n, 3),),
+        ((n, 4),),
+        ((n, 3),),
+        ((n,), (n, 1)),
+        ((n, 1, 3), (n, 3)),
+        higher_sh,
+    )
     for name, tensor, shapes in zip(names, tensors, allowed_shapes, strict=True):
         if tensor.shape not in shapes:
             expected = " or ".join(str(list(shape)) for shape in shapes)

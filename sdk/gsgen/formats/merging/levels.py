@@ -121,14 +121,14 @@ def _select_largest(
     rows = rows[np.argsort(-mass[rows], kind="stable")[:count]]
     # 2. How many of its cell have gone before each row.
     cell = _cell_numbers(starts, len(mass))[rows]
-    by_cell = np.argsort(cell, kind="stable")
-    run = _cell_starts(cell[by_cell])
+    order_by_cell = np.argsort(cell, kind="stable")
+    run = _cell_starts(cell[order_by_cell])
     rank = np.empty(len(rows), np.int64)
-    rank[by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
+    rank[order_by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
     is_added = rank + 1 < np.diff(starts, append=len(mass))[cell]
     # 3. As many as there is room for.
-    fitting_count = np.searchsorted(np.cumsum(is_added), count - len(starts), side="right")
-    is_retained[rows[:fitting_count]] = True
+    retained_count = np.searchsorted(np.cumsum(is_added), count - len(starts), side="right")
+    is_retained[rows[:retained_count]] = True
     return is_retained
 
 

@@ -32,10 +32,12 @@ def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
     returned coefficient-major, so that reading by name reorders them.
     """
     higher_count = (degree + 1) ** 2 - 1
-    higher = (f"f_rest_{c * higher_count + k}" for k in range(higher_count) for c in range(3))
+    higher_sh_names = (
+        f"f_rest_{c * higher_count + k}" for k in range(higher_count) for c in range(3)
+    )
     return {
         "position": XYZ,
-        "sh": ("f_dc_0", "f_dc_1", "f_dc_2", *higher),
+        "sh": ("f_dc_0", "f_dc_1", "f_dc_2", *higher_sh_names),
         "logit_opacity": ("opacity",),
         "log_scale": ("scale_0", "scale_1", "scale_2"),
         "rotation": ("rot_0", "rot_1", "rot_2", "rot_3"),
@@ -105,14 +107,14 @@ def splat_degree(names: Collection[str]) -> int:
     """
     replaced_names = _CONSTANT_NAMES if splat_colors(names) else ()
     _require_all(names, splat_names(0), replaced_names)
-    higher = [name for name in names if _REST_NAME.fullmatch(name)]
-    if len(higher) not in _REST_COUNTS:
+    higher_sh_names = [name for name in names if _REST_NAME.fullmatch(name)]
+    if len(higher_sh_names) not in _REST_COUNTS:
         raise PropertyMissing(
-            f"the file has {len(higher)} properties f_rest: {join_names(higher)}",
+            f"the file has {len(higher_sh_names)} properties f_rest: {join_names(higher_sh_names)}",
             where="element 'vertex'",
             expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
-    degree = math.isqrt(len(higher) // 3 + 1) - 1
+    degree = math.isqrt(len(higher_sh_names) // 3 + 1) - 1
     _require_all(names, splat_names(degree), replaced_names)
     return degree
 

@@ -122,15 +122,15 @@ def _separate_principal_axis(
     −√3 (O. K. Smith, "Eigenvalues of a symmetric 3×3 matrix", 1961). The columns of the adjugate of
     B − β, which is adj B + βB + β², are multiples of the eigenvector. Its z is not negative.
     """
-    cyclic = covariance[_CYCLIC_INDICES].reshape(2, 5, -1)
-    cyclic[0] -= mean
-    squares = np.square(cyclic[:, :3])
+    cyclic_covariances = covariance[_CYCLIC_INDICES].reshape(2, 5, -1)
+    cyclic_covariances[0] -= mean
+    squares = np.square(cyclic_covariances[:, :3])
     squares[0] += squares[1]
     squares[0] += squares[1]
     deviation = np.sqrt(squares[0].sum(axis=0) * (1 / 6))
-    cyclic *= 1 / np.maximum(deviation, _SMALLEST_DIVISOR)
-    upper = cyclic[:, :3]  # of B: the diagonal, and what is beside it
-    adjugate = cyclic[:, 1:4] * cyclic[:, 2:]
+    cyclic_covariances *= 1 / np.maximum(deviation, _SMALLEST_DIVISOR)
+    upper = cyclic_covariances[:, :3]  # of B: the diagonal, and what is beside it
+    adjugate = cyclic_covariances[:, 1:4] * cyclic_covariances[:, 2:]
     adjugate -= upper[1] * upper[::-1]
     products = upper * adjugate
     determinant = products[0, 0] + products[1, 1] + products[1, 2]

@@ -56,8 +56,8 @@ def decode(
     """Decode SPZ attribute streams to splats, in the coordinate axes of the SPZ file."""
     count = len(streams["alphas"])
     colors = streams["colors"].reshape(count, 1, 3) / np.float32(255)
-    higher = streams["sh"].reshape(count, SH_COUNTS[degree] - 1, 3).astype(np.float32)
-    sh = np.concatenate([(colors - 0.5) / _COLOR_SCALE, (higher - 128) / 128], axis=1)
+    higher_sh = streams["sh"].reshape(count, SH_COUNTS[degree] - 1, 3).astype(np.float32)
+    sh = np.concatenate([(colors - 0.5) / _COLOR_SCALE, (higher_sh - 128) / 128], axis=1)
     decode_rotations = (
         _decode_byte_rotations if version <= BYTE_ROTATIONS else _decode_word_rotations
     )

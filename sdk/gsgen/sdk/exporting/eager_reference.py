@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsgen.contract._entry_points import foreign_code
+from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
@@ -137,7 +137,7 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
         GeneratorInvalid: ``forward`` raised; the error names the line of the user's code.
     """
     try:
-        with foreign_code(), torch.no_grad():
+        with plugin_exits_as_errors(), torch.no_grad():
             return module(*tensors)
     except GsgenError:
         raise

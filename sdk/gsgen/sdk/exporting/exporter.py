@@ -67,7 +67,7 @@ class _RewrittenModel:
     model: ir.Model
     manifest: GeneratorManifest
     changes: tuple[Change, ...]
-    halved: Float16Result | None  # None if no search decided which weights become float16
+    float16_result: Float16Result | None  # None if no search decided which weights become float16
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +183,7 @@ def export(
         parity=verification_result.parity,
         changes=rewritten.changes,
         notes=tuple(notes),
-        halved=rewritten.halved,
+        float16_result=rewritten.float16_result,
     )
 
 
@@ -209,7 +209,7 @@ def _rewrite(
         return _RewrittenModel(model, manifest, changes, None)
     normalize_model(model)
     stride = max(1, len(references) // _FLOAT16_PROBE_COUNT)
-    model, halved = to_float16(
+    model, float16_result = to_float16(
         model,
         manifest,
         references.probes[::stride][:_FLOAT16_PROBE_COUNT],
@@ -219,7 +219,7 @@ def _rewrite(
         budget=_FLOAT16_RUN_BUDGET,
         progress=options.progress,
     )
-    return _RewrittenModel(model, float16_manifest(manifest), changes, halved)
+    return _RewrittenModel(model, float16_manifest(manifest), changes, float16_result)
 
 
 def _verify_exported_model(
@@ -235,7 +235,9 @@ def _verify_exported_model(
     suspects = ParitySuspects(generator, prepared.example, watch.hazards, options.rewrite)
     is_sorting = any(hazard.kind == "order" for hazard in watch.hazards)
     recorder = RowRecorder(prepared.references, prepared.recordable, 0 if is_sorting else vectors)
-    slack, roundings = (None, 1) if rewritten.halved is None else (_FLOAT16_SLACK, _HALF_ROUNDINGS)
+    slack, roundings = (
+        (None, 1) if rewritten.float16_result is None else (_FLOAT16_SLACK, _HALF_ROUNDINGS)
+    )
     parity = check_parity(
         draft, manifest, prepared.references, suspects, options.progress, recorder, slack, roundings
     )

@@ -73,7 +73,7 @@ class Exported:
         parity: How closely the model agrees with eager torch; None if no module was exported.
         changes: The rewrites of the graph.
         notes: Further facts for the user, a sentence each.
-        halved: Which nodes and weights became float16; None if the outputs are float32.
+        float16_result: Which nodes and weights became float16; None if the outputs are float32.
     """
 
     path: Path
@@ -84,7 +84,7 @@ class Exported:
     parity: "Parity | None" = None
     changes: "tuple[Change, ...]" = ()
     notes: tuple[str, ...] = ()
-    halved: "Float16Result | Float16ImageResult | None" = None
+    float16_result: "Float16Result | Float16ImageResult | None" = None
 
 
 def probes_of(

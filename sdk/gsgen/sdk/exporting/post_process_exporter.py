@@ -118,12 +118,12 @@ def export_post_process(
     progress("rewriting the graph")
     changes = rewrite_and_embed(graph, manifest, load_target(target), rewrite=rewrite)
     allowed = model.half_tolerance if half else model.tolerance
-    halved = None
+    float16_result = None
     if half and rewrite:
         pairs = zip(probes, expected, strict=True)
         finite_probes = [probe for probe, image in pairs if np.isfinite(image).all()]
         image_name = _image(model.inputs).name
-        halved = image_to_float16(
+        float16_result = image_to_float16(
             graph, image_name, finite_probes[:_FLOAT16_ERROR_PROBE_COUNT], allowed, progress
         )
     # Steps 5 to 7: verification, validation and atomic write.
@@ -141,7 +141,7 @@ def export_post_process(
         contents=f"an image of {size}, {dtype}",
         parity=parity,
         changes=tuple(changes),
-        halved=halved,
+        float16_result=float16_result,
     )
 
 
@@ -217,8 +217,8 @@ def _probes_of_sizes(
     model: PostProcess, manifest: PostProcessManifest, dtype: Dtype
 ) -> Iterator[Probe]:
     """Yield the test inputs for each tested image size: two sizes if the model takes any size."""
-    any_size = _image(model.inputs).shape is None
-    for size in (_TRACED_IMAGE_SIZE, _SECOND_IMAGE_SIZE) if any_size else (_TRACED_IMAGE_SIZE,):
+    is_any_size = _image(model.inputs).shape is None
+    for size in (_TRACED_IMAGE_SIZE, _SECOND_IMAGE_SIZE) if is_any_size else (_TRACED_IMAGE_SIZE,):
         shape = (1, model.channels, *size)
         yield from probes_of(manifest, count=_RUNS_PER_SIZE, image=(dtype, shape))
 

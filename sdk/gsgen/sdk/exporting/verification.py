@@ -57,7 +57,7 @@ def check_parity(
         roundings=roundings,
         nearby=nearby,
         # Where values tie, kernels of sorts order rows in their own way.
-        any_order=any(hazard.kind == "order" for hazard in suspects.hazards),
+        ignores_row_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )
     try:
         for index, outputs in enumerate(_runs(path, manifest, references.probes)):

@@ -19,7 +19,7 @@ from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
 from gsgen.sdk.float16.to_float16 import FLOAT, FLOAT16, ToFloat16, can_compute_in_float16, node_key
 from gsgen.sdk.passes.framework.base import is_op, opset_of
-from gsgen.sdk.passes.framework.graph_builder import free_name
+from gsgen.sdk.passes.framework.graph_builder import unused_name
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.rewrite import normalize_model, remove_unused
 
@@ -139,7 +139,7 @@ def _cast_input_to_float16(graph: ir.Graph, name: str) -> None:
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
     cast_output = node.outputs[0]
-    cast_output.name = node.name = free_name(graph, f"{name}_as_float32")
+    cast_output.name = node.name = unused_name(graph, f"{name}_as_float32")
     cast_output.type, cast_output.shape = ir.TensorType(FLOAT), value.shape
     readers = list(value.uses())
     for use in readers:

@@ -65,7 +65,7 @@ class Float16Result:
 
     Attributes:
         path: The file; None if it was not written.
-        halved: Number of nodes that compute in float16.
+        converted_count: Number of nodes that compute in float16.
         retained: Nodes that could, but compute in float32.
         casts: Number of Casts between float16 and float32 nodes.
         parity: The final model compared with the source, field by field.
@@ -79,7 +79,7 @@ class Float16Result:
     """
 
     path: Path | None
-    halved: int
+    converted_count: int
     retained: tuple[RetainedFloat32, ...]
     casts: int
     parity: Parity
@@ -210,7 +210,7 @@ def to_float16(
     frame = measure.frame_bytes
     return converted, Float16Result(
         path=None,
-        halved=len(search.nodes) - len(choice.retained),
+        converted_count=len(search.nodes) - len(choice.retained),
         retained=choice.retained,
         casts=search.boundary.casts(choice.retained_names),
         parity=parity,

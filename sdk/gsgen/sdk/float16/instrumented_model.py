@@ -98,8 +98,10 @@ class InstrumentedModel:
     def _stored_table(self, name: str) -> HalfTable:
         """Return a weight table rounded to its 16-bit storage."""
         if name not in self._stored_tables:
-            in_steps = self.weights.index(name) not in self.unstepped
-            self._stored_tables[name] = half_table(self._tables[name], in_steps=in_steps)
+            rounds_in_steps = self.weights.index(name) not in self.unstepped
+            self._stored_tables[name] = half_table(
+                self._tables[name], rounds_in_steps=rounds_in_steps
+            )
         return self._stored_tables[name]
 
     def is_evenly_quantized(self, table: int) -> bool:

@@ -41,13 +41,13 @@ class RetainedFloat32:
 
 
 def choose_tables(
-    measure: ErrorProbe, budget: int, allowed: float, allowed_for_small: float
+    measure: ErrorProbe, budget: int, allowed: float, allowed_error_of_small_tables: float
 ) -> SensitivitySearch:
     """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    ``allowed`` is the largest share of the tolerance, ``allowed_for_small`` the one up to which
+    ``allowed`` is the largest share of the tolerance, ``allowed_error_of_small_tables`` the one up to which
     tables of fewer than ``MIN_TABLE_ELEMENTS`` are stored so, too: few bytes depend on them.
     """
     # Step 1: large tables, each in the form that is closer.
@@ -82,7 +82,7 @@ def choose_tables(
         small_tables,
         lambda added_entries: measure.weights_error([*stored, *added_entries]),
         budget=budget - measured,
-        allowed=allowed_for_small,
+        allowed=allowed_error_of_small_tables,
     )
     return SensitivitySearch(
         stored | second_search.quantized,

@@ -68,8 +68,8 @@ def max_quantizable(
         worst_group = max(costly_groups, key=lambda g: g.excess)
         groups.remove(worst_group)
         midpoint = len(worst_group.units) // 2
-        for half_units in (worst_group.units[:midpoint], worst_group.units[midpoint:]):
-            groups.append(Sensitivity(half_units, *measure_cost(half_units)))
+        for half_of_units in (worst_group.units[:midpoint], worst_group.units[midpoint:]):
+            groups.append(Sensitivity(half_of_units, *measure_cost(half_of_units)))
     groups.sort(key=lambda g: (g.excess, g.units))
     return _choose_groups(groups, measure_cost, allowed, lambda: count, budget)
 

@@ -15,7 +15,7 @@ from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import SkippableRewrite
-from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
+from gsgen.sdk.passes.framework.graph_builder import new_node, unused_name, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 
 FLOAT, FLOAT16 = ir.DataType.FLOAT, ir.DataType.FLOAT16
@@ -92,8 +92,13 @@ class ToFloat16(SkippableRewrite):
             if value in native:
                 value.type = ir.TensorType(FLOAT16)
             if value.is_initializer() and not value.is_graph_input():
-                stored, in_steps = (value.name in self.stored, value.name not in self.unstepped)
-                _convert_weight(graph, value, half_inputs, stored=stored, in_steps=in_steps)
+                stored, rounds_in_steps = (
+                    value.name in self.stored,
+                    value.name not in self.unstepped,
+                )
+                _convert_weight(
+                    graph, value, half_inputs, stored=stored, rounds_in_steps=rounds_in_steps
+                )
             else:
                 _convert_value(graph, value, half_inputs, is_half=value in native)
         for index, value in enumerate(list(graph.outputs)):
@@ -126,21 +131,21 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
     typed_inputs = _floats(node.inputs, schema.inputs)
     typed_outputs = _floats(node.outputs, schema.outputs)
     # An attribute decides the type of an output whose type variable no input has.
-    free_types = {formal.type_str for _, formal in typed_outputs} - {
-        formal.type_str for _, formal in typed_inputs
+    free_types = {formal_parameter.type_str for _, formal_parameter in typed_outputs} - {
+        formal_parameter.type_str for _, formal_parameter in typed_inputs
     }
     if free_types and not is_op(node, "Cast"):
         return [], []
     fixed_types = {
-        formal.type_str
-        for _, formal in (*typed_inputs, *typed_outputs)
-        if _FLOAT16_TYPE not in formal.types
+        formal_parameter.type_str
+        for _, formal_parameter in (*typed_inputs, *typed_outputs)
+        if _FLOAT16_TYPE not in formal_parameter.types
     }
     variables = {constraint.type_param_str for constraint in schema.type_constraints}
     if fixed_types & variables:
         return [], []
     return tuple(  # type: ignore[return-value]
-        [index for index, formal in part if formal.type_str not in fixed_types]
+        [index for index, formal_parameter in part if formal_parameter.type_str not in fixed_types]
         for part in (typed_inputs, typed_outputs)
     )
 
@@ -196,7 +201,12 @@ def _readers(value: ir.Value) -> list[tuple[ir.Node, int]]:
 
 
 def _convert_weight(
-    graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, stored: bool, in_steps: bool
+    graph: ir.Graph,
+    value: ir.Value,
+    half_inputs: HalfInputs,
+    *,
+    stored: bool,
+    rounds_in_steps: bool,
 ) -> None:
     readers = _readers(value)
     half = [use for use in readers if use in half_inputs]
@@ -205,7 +215,7 @@ def _convert_weight(
     array = value.const_value.numpy()
     float32_uses = [use for use in readers if use not in half_inputs]
     if float32_uses and stored and not value.is_graph_output():
-        _store_table(graph, value, half_table(array, in_steps=in_steps), half_inputs)
+        _store_table(graph, value, half_table(array, rounds_in_steps=rounds_in_steps), half_inputs)
         return
     with np.errstate(over="ignore"):
         array = array.astype(np.float16)
@@ -264,7 +274,7 @@ def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bo
         return
     name = value.name
     weight = graph.initializers.pop(name or "", None)
-    value.name = free_name(graph, f"{name}_{'float32' if is_half else 'float16'}")
+    value.name = unused_name(graph, f"{name}_{'float32' if is_half else 'float16'}")
     if weight is not None:
         graph.register_initializer(weight)
     cast = _cast(value, dtype)

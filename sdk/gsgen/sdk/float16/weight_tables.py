@@ -50,13 +50,13 @@ class HalfTable:
         return np.asarray(numbers * self.step + self.start)
 
 
-def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> HalfTable:
+def half_table(array: Float32[np.ndarray, "..."], *, rounds_in_steps: bool = True) -> HalfTable:
     """Store a weight table as float16 or evenly quantised, whichever is closer to float32.
 
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
     """
-    if in_steps and array.size >= MIN_TABLE_ELEMENTS:
+    if rounds_in_steps and array.size >= MIN_TABLE_ELEMENTS:
         steps = _quantize_evenly(array)
         if steps is not None:
             return steps

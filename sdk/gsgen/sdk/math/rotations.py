@@ -61,16 +61,16 @@ def matrix_to_quaternion(matrix: Float[Tensor, "... 3 3"]) -> Float[Tensor, "...
     # Four times the square of each component.
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
     # The quaternion times four times one of its components.
-    forms = (
+    quaternion_forms = (
         (squares[0], zy - yz, xz - zx, yx - xy),
         (zy - yz, squares[1], yx + xy, xz + zx),
         (xz - zx, yx + xy, squares[2], zy + yz),
         (yx - xy, xz + zx, zy + yz, squares[3]),
     )
-    best, largest = torch.stack(forms[0], dim=-1), squares[0]
-    for form, square in zip(forms[1:], squares[1:], strict=True):
+    best, largest = torch.stack(quaternion_forms[0], dim=-1), squares[0]
+    for quaternion_form, square in zip(quaternion_forms[1:], squares[1:], strict=True):
         is_larger = square > largest
-        best = torch.where(is_larger[..., None], torch.stack(form, dim=-1), best)
+        best = torch.where(is_larger[..., None], torch.stack(quaternion_form, dim=-1), best)
         largest = torch.maximum(square, largest)
     return safe_normalize(best)
 

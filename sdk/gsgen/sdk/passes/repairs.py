@@ -12,7 +12,7 @@ import onnx_ir as ir
 from onnx_ir import passes
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.passes.framework.graph_builder import append_output, free_name, new_node, weight
+from gsgen.sdk.passes.framework.graph_builder import append_output, new_node, unused_name, weight
 from gsgen.sdk.passes.framework.value_facts import numpy_dtype
 
 _RGB = 3
@@ -147,7 +147,7 @@ class RenameOutputs(_Repair):
         inner = [value for node in graph for value in node.outputs]
         for value in (*inner, *graph.initializers.values()):
             if value.name in renames.values() and value not in graph.outputs:
-                value.name = free_name(graph, f"{value.name}_inner")
+                value.name = unused_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
             value.name = renames.get(value.name or "", value.name)
         return bool(renames)

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gsgen.contract._entry_points import foreign_code
+from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
@@ -148,7 +148,7 @@ def _import(name: str, search_folder: Path) -> Any:
         sys.path.insert(0, str(search_folder))
     importlib.invalidate_caches()
     try:
-        with foreign_code():
+        with plugin_exits_as_errors():
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
@@ -213,7 +213,7 @@ def locate_errors(build: Callable[[], Any], where: str) -> Callable[[], Any]:
 
     def located_build() -> Any:
         try:
-            with foreign_code():
+            with plugin_exits_as_errors():
                 return build()
         except GsgenError:
             raise

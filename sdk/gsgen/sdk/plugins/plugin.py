@@ -61,14 +61,14 @@ class Demo:
         caption: Says what differs from picture to picture.
         view: Where the camera is: ``orbit`` around a scene, ``recede`` from it, ``still`` before
             it, before a ``person``, or around a ``head``.
-        degrade: For image models, makes the model's input from a drawn picture, both uint8
+        degrade_image: For image models, makes the model's input from a drawn picture, both uint8
             [H, W, 3]. The picture itself is the input if this is absent.
     """
 
     write: Callable[[Path], list[str]]
     caption: str
     view: Literal["orbit", "recede", "still", "person", "head"] = "orbit"
-    degrade: "Callable[[np.ndarray], np.ndarray] | None" = None
+    degrade_image: "Callable[[np.ndarray], np.ndarray] | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import onnx_ir as ir
 
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
-from gsgen.contract.model.files_beside import FileRefused, contained_file, require_loadable
+from gsgen.contract.model.files_beside import FileRefused, find_contained_file, require_loadable
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 
@@ -39,7 +39,7 @@ def load_model(path: Path) -> ir.Model:
 
 def _resolve_weight_path(model: Path, tensor: ir.ExternalTensor) -> ir.ExternalTensor:
     """Return an external weight without links in its path, which onnx-ir follows in a folder only."""
-    path = contained_file(model, os.fspath(tensor.location))
+    path = find_contained_file(model, os.fspath(tensor.location))
     return ir.ExternalTensor(
         path.name,
         tensor.offset,
@@ -92,7 +92,7 @@ def _weight_files(source: ModelFile) -> Iterator[Path]:
     """Yield the files of a model's external weights that may be read; others cannot be saved."""
     for ref in source.external:
         with suppress(FileRefused):
-            yield contained_file(source.loading_path, ref.location)
+            yield find_contained_file(source.loading_path, ref.location)
 
 
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:

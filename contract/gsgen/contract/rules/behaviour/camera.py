@@ -100,12 +100,12 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     for index, (probe, rows) in enumerate(probed_rows):
         matrix = as_tensor(probe.inputs[views[0][0].name], space.matrix_order)
         is_hidden_in_view = _cone_mask(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
-        drawn_elsewhere = np.zeros(len(rows), bool)
+        is_drawn_elsewhere = np.zeros(len(rows), bool)
         for other_index, (_, other_rows) in enumerate(probed_rows):
             if other_index != index and other_rows.shape == rows.shape:
                 is_same_center = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
-                drawn_elsewhere |= is_same_center & drawn[other_index]
-        hidden_rows = is_hidden_in_view & drawn_elsewhere
+                is_drawn_elsewhere |= is_same_center & drawn[other_index]
+        hidden_rows = is_hidden_in_view & is_drawn_elsewhere
         culled_count = int(np.count_nonzero(hidden_rows))
         is_significant = culled_count > _MIN_CULLED_SHARE * max(
             int(np.count_nonzero(drawn[index])), 1

@@ -45,12 +45,12 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     runs = behaviour.trial_runs("loop")
     if len(runs) < 4:
         return
-    start, after_start, before_end, end = (_float_outputs(run) for run in runs[:4])
-    for name in start.keys() & after_start.keys() & before_end.keys() & end.keys():
+    start, frame_after_start, frame_before_end, end = (_float_outputs(run) for run in runs[:4])
+    for name in start.keys() & frame_after_start.keys() & frame_before_end.keys() & end.keys():
         loop_jump = largest_difference(start[name], end[name])
         step = max(
-            largest_difference(start[name], after_start[name]),
-            largest_difference(before_end[name], end[name]),
+            largest_difference(start[name], frame_after_start[name]),
+            largest_difference(frame_before_end[name], end[name]),
         )
         max_magnitude = float(np.abs(start[name].astype(np.float64)).max(initial=0))
         if loop_jump > _MAX_JUMP_RATIO * step + _ROUNDING * max_magnitude:

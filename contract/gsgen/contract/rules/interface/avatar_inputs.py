@@ -40,14 +40,14 @@ def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _order_faults(entry: Input) -> Iterator[Violation]:
-    earlier_names: set[str] = set()
+    preceding_input_names: set[str] = set()
     for joint in entry.joints:
-        if joint.name in earlier_names:
+        if joint.name in preceding_input_names:
             yield _input_violation(entry, f"two joints {joint.name!r}", "different names")
-        if joint.parent is not None and joint.parent not in earlier_names:
+        if joint.parent is not None and joint.parent not in preceding_input_names:
             actual = f"joint {joint.name!r} before its parent {joint.parent!r}"
             yield _input_violation(entry, actual, "parents first")
-        earlier_names.add(joint.name)
+        preceding_input_names.add(joint.name)
 
 
 @rule("GI031", Severity.WARNING, needs=("GM004", "GI015"))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from gsgen.contract.model.files_beside import FileRefused, contained_file
+from gsgen.contract.model.files_beside import FileRefused, find_contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES
 from gsgen.contract.spec.manifest import ReferenceImage
@@ -179,7 +179,7 @@ def _image_fault(model: Path, image: ReferenceImage) -> tuple[str, str] | None:
     """Return the fault of a reference image's file, and the expected value; None if valid."""
     expected = "a PNG in the model's folder or below it"
     try:
-        path = contained_file(model, image.path)
+        path = find_contained_file(model, image.path)
         if path.stat().st_size > _MAX_IMAGE_BYTES:
             return format_mebibytes(path.stat().st_size), f"{format_mebibytes(_MAX_IMAGE_BYTES)}"
         content = path.read_bytes()

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from gsgen.contract.model.files_beside import FileRefused, contained_file
+from gsgen.contract.model.files_beside import FileRefused, find_contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
@@ -28,7 +28,7 @@ def _digest(path: Path) -> str:
 def _side_file_fault(model: Path, location: str, sha256: str) -> tuple[str, str] | None:
     """Return the fault of a file beside the model, and the expected value; None if valid."""
     try:
-        actual = _digest(contained_file(model, location))
+        actual = _digest(find_contained_file(model, location))
     except FileRefused as error:
         return error.actual, error.expected
     return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")

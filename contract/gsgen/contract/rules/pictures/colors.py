@@ -60,11 +60,11 @@ def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
     clipped_share = float(
         ((displayed_rgb < -_CLIP_MARGIN) | (displayed_rgb > 1 + _CLIP_MARGIN)).mean()
     )
-    dark_share = float((constant < _MAX_NEAR_ZERO).mean())
+    dark_row_share = float((constant < _MAX_NEAR_ZERO).mean())
     if high > _MIN_BYTE_VALUE and low >= 0:
         return "bytes 0 to 255 were stored as DC"
     if low >= -_ROUNDING and high <= 1 + _ROUNDING:
-        if dark_share >= _MIN_NEAR_ZERO_SHARE and high - low >= _MIN_SPREAD:
+        if dark_row_share >= _MIN_NEAR_ZERO_SHARE and high - low >= _MIN_SPREAD:
             return "RGB were stored as DC"
     elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright_share >= _MIN_BRIGHT_SHARE:
         return "0.5 had not been subtracted from RGB before the division"
@@ -122,7 +122,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     Hint:
         Apply one permutation to positions, covariances, opacities and colours.
     """
-    is_whole_scene = len(sample.rows) == len(sample.inner) == sample.count
+    is_whole_scene = len(sample.rows) == len(sample.inner_indices) == sample.count
     if sample.color is None or not is_whole_scene:
         return  # the order of a part says nothing of the whole
     color = sample.color[:, :3]
@@ -161,7 +161,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
 def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
     """Return the mean squared colour difference of neighbours, relative to that of random pairs."""
     variance = color.var(axis=0).sum()
-    neighbour_difference = color[sample.neighbours[:, 0]] - color[sample.inner]
+    neighbour_difference = color[sample.neighbours[:, 0]] - color[sample.inner_indices]
     return (
         float(np.square(neighbour_difference).sum(axis=1).mean() / (2 * variance))
         if variance > 0

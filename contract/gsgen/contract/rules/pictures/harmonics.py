@@ -38,19 +38,21 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     if color is None or not sample.emission.is_sh or color.shape[1] < _SH1_CHANNELS:
         return
     stored_correlation = _correlation(color[:, 3:].reshape(len(color), -1, 3))
-    correlation_by_order = {name: _correlation(detail) for name, detail in _possible_orders(color)}
-    name = max(correlation_by_order, key=correlation_by_order.__getitem__)
+    correlation_by_sh_order = {
+        name: _correlation(sh_detail) for name, sh_detail in _possible_orders(color)
+    }
+    name = max(correlation_by_sh_order, key=correlation_by_sh_order.__getitem__)
     if (
-        _MIN_CORRELATION < correlation_by_order[name] < _MAX_CORRELATION
-        and stored_correlation < _MAX_CORRELATION_RATIO * correlation_by_order[name]
+        _MIN_CORRELATION < correlation_by_sh_order[name] < _MAX_CORRELATION
+        and stored_correlation < _MAX_CORRELATION_RATIO * correlation_by_sh_order[name]
     ):
         actual = (
             f"red, green and blue of a coefficient correlate by {stored_correlation:.2f} as stored, and by "
-            f"{correlation_by_order[name]:.2f} if {name}"
+            f"{correlation_by_sh_order[name]:.2f} if {name}"
         )
         expected = "a larger correlation as stored, coefficient by coefficient"
         location = Location(sample.emission.color_label, "degree 1 and above")
-        min_correlation = _MAX_CORRELATION_RATIO * correlation_by_order[name]
+        min_correlation = _MAX_CORRELATION_RATIO * correlation_by_sh_order[name]
         yield Violation(
             where=location,
             expected=expected,
@@ -90,9 +92,9 @@ def _split_by_channel(columns: Float[np.ndarray, "e c"]) -> Float[np.ndarray, "e
     return columns.reshape(len(columns), 3, -1).transpose(0, 2, 1)
 
 
-def _correlation(detail: Float[np.ndarray, "e k 3"]) -> float:
+def _correlation(sh_detail: Float[np.ndarray, "e k 3"]) -> float:
     """Return the mean correlation of the colour channels of SH coefficients; 0 if constant."""
-    centered_detail = detail - detail.mean(axis=0)
+    centered_detail = sh_detail - sh_detail.mean(axis=0)
     deviation = np.sqrt(np.square(centered_detail).mean(axis=0))
     unit = centered_detail / np.where(deviation > 0, deviation, 1)
     pairs = ((0, 1), (0, 2), (1, 2))

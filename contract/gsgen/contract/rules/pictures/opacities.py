@@ -104,10 +104,10 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
         return
     opacity, max_channel = sample.even_rows[:, OPACITY], color.max(axis=1)
     transparent_share = float((opacity < _MAX_TRANSPARENT_OPACITY).mean())
-    darker_share = float((max_channel <= opacity * (1 + _ROUNDING)).mean())
+    darker_row_share = float((max_channel <= opacity * (1 + _ROUNDING)).mean())
     if (
         transparent_share < _MIN_TRANSPARENT_SHARE
-        or darker_share < _MIN_DARKER_SHARE
+        or darker_row_share < _MIN_DARKER_SHARE
         or np.ptp(max_channel) == 0
     ):
         return
@@ -115,7 +115,7 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
     correlation = float(np.corrcoef(logarithms)[0, 1])
     if correlation > _MIN_CORRELATION:
         actual = (
-            f"no colour is brighter than its opacity in {darker_share:.1%} of {len(color)} rows, and "
+            f"no colour is brighter than its opacity in {darker_row_share:.1%} of {len(color)} rows, and "
             f"both correlate by {correlation:.2f}, as if colours were multiplied by opacity"
         )
         expected = f"transparent rows of any brightness, or a correlation below {_MIN_CORRELATION}"

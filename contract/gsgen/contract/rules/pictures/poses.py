@@ -75,8 +75,8 @@ def _deviation(
     role: str,
     run: ProbeRun,
 ) -> Violation | None:
-    covariance_before = symmetric(sample.rows[sample.inner][:, COVARIANCE])
-    covariance_after = symmetric(later_rows[sample.inner][:, COVARIANCE])
+    covariance_before = symmetric(sample.rows[sample.inner_indices][:, COVARIANCE])
+    covariance_after = symmetric(later_rows[sample.inner_indices][:, COVARIANCE])
     rotated_covariance = motion.rotation @ covariance_before @ motion.rotation.transpose(0, 2, 1)
     size = np.maximum(np.linalg.norm(covariance_before, axis=(1, 2)), np.finfo(float).tiny)
     change = np.linalg.norm(rotated_covariance - covariance_before, axis=(1, 2)) / size

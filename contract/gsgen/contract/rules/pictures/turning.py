@@ -148,20 +148,20 @@ def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
     ]
     base = _outputs(behaviour.subject, behaviour.base)
     for run in runs:
-        away_outputs = _outputs(behaviour.subject, run)
-        if base is None or away_outputs is None:
+        turned_away_outputs = _outputs(behaviour.subject, run)
+        if base is None or turned_away_outputs is None:
             return
-        ahead_count, behind_count = (
+        in_front_count, behind_count = (
             int(_drawn_mask(base).sum()),
-            int(_drawn_mask(away_outputs).sum()),
+            int(_drawn_mask(turned_away_outputs).sum()),
         )
-        if behind_count >= _MIN_ROWS and ahead_count < behind_count / 2:
+        if behind_count >= _MIN_ROWS and in_front_count < behind_count / 2:
             actual = (
-                f"{ahead_count} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
+                f"{in_front_count} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
                 "that looks away, as if culling took −z for forward"
             )
             usual_statistic = Statistic(
-                "rows ahead over rows behind", ahead_count / behind_count, 0.5
+                "rows ahead over rows behind", in_front_count / behind_count, 0.5
             )
             yield _possible_violation(
                 base.rows_label, "opacity", actual, "rows ahead, along +z", usual_statistic

@@ -130,13 +130,13 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     """
     if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
         return
-    detail = emission.shown_colors[:, 3:]
-    if not len(detail) or max(-detail.min(), detail.max()) <= _LARGE_COEFFICIENT:
+    sh_detail = emission.shown_colors[:, 3:]
+    if not len(sh_detail) or max(-sh_detail.min(), sh_detail.max()) <= _LARGE_COEFFICIENT:
         return
-    detail = np.abs(detail)
-    share = float(np.count_nonzero(detail > _LARGE_COEFFICIENT) / max(detail.size, 1))
+    sh_detail = np.abs(sh_detail)
+    share = float(np.count_nonzero(sh_detail > _LARGE_COEFFICIENT) / max(sh_detail.size, 1))
     if share > _MAX_LARGE_SHARE:
-        actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE_COEFFICIENT:g}, up to {detail.max():.3g}"
+        actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE_COEFFICIENT:g}, up to {sh_detail.max():.3g}"
         expected = f"magnitudes up to {_LARGE_COEFFICIENT:g}"
         yield Violation.at(emission.color_label, actual, expected, certainty="possible")
 

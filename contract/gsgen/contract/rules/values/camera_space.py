@@ -172,8 +172,10 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
         +x right, +y down and +z forward.
     """
     declared = probe_runs.subject.declared_gaussians
-    away_indices = probe_runs.plan.trials.get("away", ())
-    rows_behind = _read_seen_rows(probe_runs, away_indices[0]) if away_indices else None
+    turned_away_indices = probe_runs.plan.trials.get("away", ())
+    rows_behind = (
+        _read_seen_rows(probe_runs, turned_away_indices[0]) if turned_away_indices else None
+    )
     seen_rows = [_read_seen_rows(probe_runs, index) for index in range(probe_runs.plan.values)]
     labels = probe_runs.plan.probes
     rows_ahead = [

@@ -43,7 +43,7 @@ class Hint:
 
     def keywords(self) -> dict[str, object]:
         """Return the metadata of a dataclass field as JSON Schema keywords."""
-        by_keyword = {
+        bound_by_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,
             "exclusiveMinimum": self.exclusive_minimum,
@@ -52,7 +52,7 @@ class Hint:
             "pattern": self.pattern,
             "enum": list(self.enum) or None,
         }
-        return {key: value for key, value in by_keyword.items() if value is not None}
+        return {key: value for key, value in bound_by_keyword.items() if value is not None}
 
 
 def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:

@@ -30,12 +30,12 @@ def diff(
     """
     from gsgen.contract.tools.model_diff import compare_models
 
-    facts, outputs, reason = compare_models(first, second)
+    fact_differences, outputs, reason = compare_models(first, second)
     differing_outputs = [output for output in outputs if output.largest > tolerance]
-    code = ExitCode.FAILURE if facts or differing_outputs or reason else ExitCode.SUCCESS
+    code = ExitCode.FAILURE if fact_differences or differing_outputs or reason else ExitCode.SUCCESS
     if as_json:
         document = {
-            "facts": [asdict(fact) for fact in facts],
+            "facts": [asdict(fact_difference) for fact_difference in fact_differences],
             "outputs": [
                 asdict(output) | {"largest": _finite_or_none(output.largest)} for output in outputs
             ],
@@ -43,8 +43,10 @@ def diff(
         }
         echo_json(document)
         raise typer.Exit(code)
-    for fact in facts:
-        echo(f"{fact.kind}  {fact.name}: {fact.first} → {fact.second}")
+    for fact_difference in fact_differences:
+        echo(
+            f"{fact_difference.kind}  {fact_difference.name}: {fact_difference.first} → {fact_difference.second}"
+        )
     for output in outputs:
         is_same = (
             "equal bits"

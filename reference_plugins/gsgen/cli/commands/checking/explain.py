@@ -25,13 +25,15 @@ def explain(
 ) -> None:
     """Explain what the rule RULE requires, why, and how to repair a model that breaks it."""
     from gsgen.cli.commands.checking.validate_file import every_rule
-    from gsgen.conformance.fixtures import example_of
+    from gsgen.conformance.fixtures import example_model_of_rule
     from gsgen.contract.reporters.rule_pages import page, to_dict
 
     registry = every_rule()
     entries = [registry.find(name) for name in rules]
     if as_json:
-        document = [to_dict(entry, example_of(entry.id)) for entry in entries]
+        document = [to_dict(entry, example_model_of_rule(entry.id)) for entry in entries]
         echo_json(document)
         return
-    echo_text("\n".join(page(entry, registry, example_of(entry.id)) for entry in entries))
+    echo_text(
+        "\n".join(page(entry, registry, example_model_of_rule(entry.id)) for entry in entries)
+    )

@@ -76,8 +76,8 @@ def _emit_manifest(subject: "InspectedModel") -> None:
     echo_text(safe_json(dumps(manifest)))
     if subject.candidate is not None:
         echo(f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True)
-        for guess in subject.candidate.guesses:
-            echo(f"  - {guess}", err=True)
+        for manifest_guess in subject.candidate.manifest_guesses:
+            echo(f"  - {manifest_guess}", err=True)
 
 
 def _model_facts(subject: "InspectedModel") -> dict[str, Any]:

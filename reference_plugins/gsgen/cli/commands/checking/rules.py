@@ -35,7 +35,7 @@ def rules(
     """
     from gsgen.cli.commands.checking.validate_file import every_rule
     from gsgen.cli.output import write_text
-    from gsgen.conformance.fixtures import example_of
+    from gsgen.conformance.fixtures import example_model_of_rule
     from gsgen.contract.reporters.rule_pages import index, page, to_dict
 
     registry = every_rule()
@@ -43,13 +43,14 @@ def rules(
     if pages is not None:
         for rule in registry.rules.values():
             write_text(
-                pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry, example_of(rule.id))
+                pages / f"{rule.id.replace('/', '-')}.md",
+                page(rule, registry, example_model_of_rule(rule.id)),
             )
         write_text(pages / "index.md", index(registry))
         echo(f"{len(registry.rules)} pages in {pages}")
         return
     if as_json:
-        document = [to_dict(rule, example_of(rule.id)) for rule in selected]
+        document = [to_dict(rule, example_model_of_rule(rule.id)) for rule in selected]
         echo_json(document)
         return
     for rule in selected:

@@ -81,8 +81,8 @@ def bench(
     else:
         _print_benchmark(results)
     failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
-    failed = any(result.state in failure_states for result in results)
-    raise typer.Exit(ExitCode.FAILURE if failed else ExitCode.SUCCESS)
+    has_failure = any(result.state in failure_states for result in results)
+    raise typer.Exit(ExitCode.FAILURE if has_failure else ExitCode.SUCCESS)
 
 
 def _require_models(models: list[Path]) -> None:

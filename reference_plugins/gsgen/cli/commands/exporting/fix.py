@@ -67,8 +67,8 @@ def fix(
     if as_json:
         echo_json(_document(result, output))
     else:
-        for applied in result.repairs:
-            echo(f"{applied.rule}: {applied.description}")
+        for applied_repair in result.repairs:
+            echo(f"{applied_repair.rule}: {applied_repair.description}")
         show(render(result.after))
     raise typer.Exit(ExitCode.SUCCESS if result.after.verdict == "conforms" else ExitCode.FAILURE)
 
@@ -79,7 +79,8 @@ def _document(result: "RepairResult", output: Path | None) -> dict[str, object]:
     return {
         "path": str(output) if output else None,
         "repairs": [
-            {"description": applied.description, "rule": applied.rule} for applied in result.repairs
+            {"description": applied_repair.description, "rule": applied_repair.rule}
+            for applied_repair in result.repairs
         ],
         "before": to_dict(result.before),
         "after": to_dict(result.after),

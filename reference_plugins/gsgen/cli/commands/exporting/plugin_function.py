@@ -22,11 +22,13 @@ def plugin_function(plugin: Plugin) -> Callable[..., Any]:
     from gsgen.sdk.plugins.factory import locate_errors
 
     # An exception of one of our own plugins is a fault of gsgen, and stays a crash.
-    is_ours = plugin.build.__module__.partition(".")[0] == "gsgen"
+    is_reference_plugin = plugin.build.__module__.partition(".")[0] == "gsgen"
 
     return with_common_options(
         plugin.build,
         lambda build, request: run_export(
-            build if is_ours else locate_errors(build, plugin.name), request, plugin.name
+            build if is_reference_plugin else locate_errors(build, plugin.name),
+            request,
+            plugin.name,
         ),
     )

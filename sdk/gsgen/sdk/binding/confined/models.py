@@ -16,7 +16,7 @@ from typing import Any, Final, Self, final
 from gsgen.contract.errors import GsgenError, HostProcessFailed, ModelUnreadable
 from gsgen.contract.model.files_beside import loaded_files
 from gsgen.contract.model.model_file import ModelFile, open_model
-from gsgen.contract.process.child_status import death_of
+from gsgen.contract.process.child_status import classify_child_end
 from gsgen.contract.process.limits import FRAME_SECONDS, Limits, inherited_memory_limit
 from gsgen.contract.process.parent_watchdog import child_environment, python_command
 from gsgen.sdk.binding.bound.bound_session import host_bytes
@@ -118,15 +118,15 @@ class _Child:
         self._channels: list[socket.socket] = []
         self._lock, self._process_end_lock = threading.Lock(), threading.Lock()
         self._log, self._log_text = _log_file(), ""
-        self._control_socket, child_end = socket.socketpair()
-        with child_end:
+        self._control_socket, child_socket = socket.socketpair()
+        with child_socket:
             try:
                 self._process = subprocess.Popen(
-                    [*python_command(), "-m", _WORKER, str(child_end.fileno())],
+                    [*python_command(), "-m", _WORKER, str(child_socket.fileno())],
                     stdin=subprocess.DEVNULL,
                     stdout=self._log,
                     stderr=self._log,
-                    pass_fds=[child_end.fileno()],
+                    pass_fds=[child_socket.fileno()],
                     env=child_environment(),
                     start_new_session=True,
                 )
@@ -158,21 +158,21 @@ class _Child:
     def channel(self, file: ModelFile, request: Message, *, is_last: bool = False) -> "Channel":
         """Begin to open a model; ``is_last`` ends the process with this session."""
         memory_file = create_memory_file(min(self.limits.memory, host_bytes()))
-        parent_end, child_end = socket.socketpair()
-        with child_end:
+        parent_socket, child_socket = socket.socketpair()
+        with child_socket:
             with self._lock:
                 self._await_process_start()
                 self._session_count += 1
-                self._channels.append(parent_end)
+                self._channels.append(parent_socket)
                 message = request | {"session": self._session_count, "path": str(file.path)}
                 try:
-                    send(self._control_socket, message, [child_end.fileno(), memory_file])
+                    send(self._control_socket, message, [child_socket.fileno(), memory_file])
                 except OSError as error:
                     raise self.death(str(file.path)) from error
             shared = SharedMemory(memory_file)
         return Channel(
             child=self,
-            socket=parent_end,
+            socket=parent_socket,
             shared=shared,
             number=self._session_count,
             where=str(file.path),
@@ -225,7 +225,7 @@ class _Child:
         if not self._is_ready:
             lines = log.strip().splitlines()[-1:] or [f"exit status {status}"]
             return HostProcessFailed(f"the process for models does not start: {lines[0][:300]}")
-        death = death_of(status, log, self.limits)
+        death = classify_child_end(status, log, self.limits)
         is_of_host = death.stage == "host"
         if death.stage in ("memory", "crash"):
             is_of_host = inherited_memory_limit() < self.limits.memory

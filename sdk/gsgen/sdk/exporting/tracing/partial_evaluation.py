@@ -76,10 +76,10 @@ def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFoldi
         # Step 1: find tensors that are constant when they are made, and that an input writes later.
         written: frozenset[int] = frozenset()
         for _ in range(_MAX_RUNS):
-            found = written | _run(module, _copies(inputs), written).written
-            if found == written:
+            folded_tensors = written | _run(module, _copies(inputs), written).written
+            if folded_tensors == written:
                 break
-            written = found
+            written = folded_tensors
 
         # Step 2: record all operations that an input reaches, and those that make such tensors.
         modes: list[_PartialEvaluation] = []

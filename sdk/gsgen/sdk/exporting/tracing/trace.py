@@ -88,8 +88,8 @@ def _fold_constants(
     try:
         return fold_constants(packed, _tensors(example))
     except ValueNeeded as needed:
-        here = [h for h in hazards if needed.where and needed.where in h.where]
-        kinds = [h.kind for h in here] or ["shape" if needed.is_shape else "number"]
+        hazards_here = [h for h in hazards if needed.where and needed.where in h.where]
+        kinds = [h.kind for h in hazards_here] or ["shape" if needed.is_shape else "number"]
         description, hint = describe_hazard(kinds[0])
         raise ExportFailed(
             f"{description}, and torch cannot export it ({needed})",

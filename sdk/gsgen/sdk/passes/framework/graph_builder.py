@@ -4,10 +4,10 @@ __all__ = [
     "InsertionPoint",
     "append_output",
     "constant_array",
-    "free_name",
     "new_node",
     "remembered_names",
     "replace_value",
+    "unused_name",
     "weight",
 ]  # fmt: skip
 
@@ -25,7 +25,7 @@ Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
 def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     """Add an array to a graph as a named weight, with underscores appended if the name exists."""
-    name = free_name(graph, name)
+    name = unused_name(graph, name)
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
         name=name, const_value=tensor, type=ir.TensorType(tensor.dtype), shape=ir.Shape(array.shape)
@@ -34,7 +34,7 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     return value
 
 
-def free_name(graph: ir.Graph, name: str) -> str:
+def unused_name(graph: ir.Graph, name: str) -> str:
     """Return a value name that a graph does not use yet, by appending underscores to a given one.
 
     Subgraphs are not searched, which would take long: duplicates there are renamed at the end.
@@ -86,7 +86,7 @@ def new_node(
 def append_output(graph: ir.Graph, old_value: ir.Value, nodes: Sequence[ir.Node]) -> None:
     """Append nodes to a graph, the last of which computes an existing graph output."""
     name = old_value.name
-    old_value.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
+    old_value.name = unused_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
     new = nodes[-1].outputs[0]
     new.name = name
@@ -184,7 +184,7 @@ def replace_value(old_value: ir.Value, new: ir.Value) -> None:
     if output:
         graph = new.graph
         assert isinstance(graph, ir.Graph)
-        old_value.name = free_name(graph, f"{name}_replaced")
+        old_value.name = unused_name(graph, f"{name}_replaced")
         new.name = name
 
 

@@ -182,8 +182,8 @@ def _transpose(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 def _constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     value = node.attributes.get("value")
-    filler = np.zeros(1, np.float32) if value is None else value.as_tensor().numpy()
-    return np.full([int(size) for size in _first_input(inputs)], filler.reshape(-1)[0])
+    fill_value = np.zeros(1, np.float32) if value is None else value.as_tensor().numpy()
+    return np.full([int(size) for size in _first_input(inputs)], fill_value.reshape(-1)[0])
 
 
 def _range(_: ir.Node, inputs: Arrays) -> np.ndarray:

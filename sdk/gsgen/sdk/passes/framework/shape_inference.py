@@ -68,6 +68,7 @@ def _makes_container(node: ir.Node) -> bool:
     except onnx.defs.SchemaError:
         return False
     return any(
-        formal.types and all(name.startswith(_CONTAINERS) for name in formal.types)
-        for formal in schema.outputs
+        formal_parameter.types
+        and all(name.startswith(_CONTAINERS) for name in formal_parameter.types)
+        for formal_parameter in schema.outputs
     )

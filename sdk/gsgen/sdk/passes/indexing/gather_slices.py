@@ -90,13 +90,13 @@ def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
     given_inputs = [value for value in node.inputs[1:] if value is not None]
     if shape is None or len(given_inputs) != sum(array is not None for array in arguments):
         return None
-    begins, ends, axes, steps = (*arguments, None, None)[:4]
-    if begins is None or ends is None:
+    slice_starts, ends, axes, steps = (*arguments, None, None)[:4]
+    if slice_starts is None or ends is None:
         return None
-    axes = np.arange(len(begins)) if axes is None else axes
-    steps = np.ones(len(begins), np.int64) if steps is None else steps
+    axes = np.arange(len(slice_starts)) if axes is None else axes
+    steps = np.ones(len(slice_starts), np.int64) if steps is None else steps
     parts = []
-    for begin, end, axis, step in zip(begins, ends, axes, steps, strict=True):
+    for begin, end, axis, step in zip(slice_starts, ends, axes, steps, strict=True):
         size = shape[axis]
         if step < 0 and (end >= UNBOUNDED_END or size == 0):
             return None  # the ONNX standard and ONNX Runtime disagree

@@ -138,7 +138,7 @@ class _Sampler:
 
     def __init__(self, before: InsertionPoint, dtype: ir.DataType, node: ir.Node) -> None:
         self.before, self.dtype = before, dtype
-        self.aligned = bool(int_attribute(node, "align_corners", 0))
+        self.aligns_corners = bool(int_attribute(node, "align_corners", 0))
         self.border = _string_attribute(node, "padding_mode", "zeros") == "border"
 
     def number(self, value: float) -> ir.Value:
@@ -166,7 +166,7 @@ class _Sampler:
 
     def _pixel_coordinate(self, shifted_coordinate: ir.Value, size: int) -> ir.Value:
         op, half = self.before.op, self.number(2)
-        if self.aligned:
+        if self.aligns_corners:
             return op("Mul", op("Div", shifted_coordinate, half), self.number(size - 1))
         scaled = op("Sub", op("Mul", shifted_coordinate, self.number(size)), self.number(1))
         return op("Div", scaled, half)

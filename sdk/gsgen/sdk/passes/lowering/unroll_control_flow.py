@@ -97,8 +97,8 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     iterations = _trip_count(node, body)
     if isinstance(iterations, str):
         return iterations
-    carried_count = len(node.inputs) - 2
-    if iterations == 0 and len(node.outputs) > carried_count:
+    carried_value_count = len(node.inputs) - 2
+    if iterations == 0 and len(node.outputs) > carried_value_count:
         return "it never runs, so its collected outputs have no shape"
     obstacle = rewrite.size_obstacle(iterations, body)
     if obstacle:
@@ -108,13 +108,13 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
         state = [_require_value(value) for value in node.inputs[2:]]
-        lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried_count:]]
+        lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried_value_count:]]
         is_always = before.constant(np.asarray(True), "go_on")
         for turn in range(iterations):
             number = before.constant(np.asarray(turn, np.int64), "turn")
             _, *results = copy((number, is_always, *state))
-            state = results[:carried_count]
-            for results_list, value in zip(lists, results[carried_count:], strict=True):
+            state = results[:carried_value_count]
+            for results_list, value in zip(lists, results[carried_value_count:], strict=True):
                 results_list.append(value)
         before.replace(*state, *(_stack_values(before, results_list, 0) for results_list in lists))
 
@@ -156,16 +156,18 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that unrolls a Scan node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
     scanned_count = node.attributes["num_scan_inputs"].as_int()
-    carried_count = len(node.inputs) - scanned_count
+    carried_value_count = len(node.inputs) - scanned_count
     if len(body.inputs) != len(node.inputs):
         return "it is a Scan of operator set 8, which has other inputs"
     in_axes = _int_list(node, "scan_input_axes", scanned_count)
     backward_flags = _int_list(node, "scan_input_directions", scanned_count)
-    out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_count)
-    prepended_flags = _int_list(node, "scan_output_directions", len(node.outputs) - carried_count)
+    out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_value_count)
+    prepended_flags = _int_list(
+        node, "scan_output_directions", len(node.outputs) - carried_value_count
+    )
     sizes = {
         _axis_size(value, axis)
-        for value, axis in zip(node.inputs[carried_count:], in_axes, strict=True)
+        for value, axis in zip(node.inputs[carried_value_count:], in_axes, strict=True)
     }
     if len(sizes) != 1 or None in sizes:
         return "the length of its scanned inputs is not known"
@@ -179,7 +181,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     def write() -> None:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
-        state = [_require_value(value) for value in node.inputs[:carried_count]]
+        state = [_require_value(value) for value in node.inputs[:carried_value_count]]
         lists: list[list[ir.Value]] = [[] for _ in out_axes]
         for turn in range(iterations):
             rows = [
@@ -192,12 +194,12 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
                     axis=axis,
                 )
                 for value, axis, is_backward in zip(
-                    node.inputs[carried_count:], in_axes, backward_flags, strict=True
+                    node.inputs[carried_value_count:], in_axes, backward_flags, strict=True
                 )
             ]
             results = copy((*state, *rows))
-            state = results[:carried_count]
-            for results_list, value in zip(lists, results[carried_count:], strict=True):
+            state = results[:carried_value_count]
+            for results_list, value in zip(lists, results[carried_value_count:], strict=True):
                 results_list.append(value)
         joined_values = [
             _stack_values(before, results_list[::-1] if is_backward else results_list, axis)

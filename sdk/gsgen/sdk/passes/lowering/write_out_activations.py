@@ -114,10 +114,10 @@ def _gelu(f: _Formula) -> ir.Value:
     if approximation is not None and approximation.as_string() == "tanh":
         cube = f.op("Mul", f.op("Mul", f.x, f.x), f.x)
         argument = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
-        gate = f.op("Tanh", f.op("Mul", argument, math.sqrt(2 / math.pi)))
+        gate_value = f.op("Tanh", f.op("Mul", argument, math.sqrt(2 / math.pi)))
     else:
-        gate = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
-    return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", gate, 1.0))
+        gate_value = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
+    return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", gate_value, 1.0))
 
 
 def _hard_sigmoid(f: _Formula) -> ir.Value:
@@ -126,8 +126,8 @@ def _hard_sigmoid(f: _Formula) -> ir.Value:
 
 
 def _hard_swish(f: _Formula) -> ir.Value:
-    gate = f.op("Clip", f.op("Add", f.op("Mul", f.x, 1 / 6), 0.5), 0.0, 1.0)
-    return f.op("Mul", f.x, gate)
+    gate_value = f.op("Clip", f.op("Add", f.op("Mul", f.x, 1 / 6), 0.5), 0.0, 1.0)
+    return f.op("Mul", f.x, gate_value)
 
 
 def _log_softmax(f: _Formula) -> ir.Value:
@@ -150,8 +150,8 @@ def _prelu(f: _Formula) -> ir.Value:
 
 def _write_shrink(f: _Formula) -> ir.Value:
     bound, bias = f.attribute("lambd", 0.5), f.attribute("bias", 0.0)
-    above_bound = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
-    return f.where("Less", -bound, f.op("Add", f.x, bias), above_bound)
+    shifted_above_bound = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
+    return f.where("Less", -bound, f.op("Add", f.x, bias), shifted_above_bound)
 
 
 def _swish(f: _Formula) -> ir.Value:

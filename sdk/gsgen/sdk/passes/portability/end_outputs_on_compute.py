@@ -8,7 +8,7 @@ import onnx_ir as ir
 from gsgen.contract.model.provider_placement import is_copy
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import Rewrite
-from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
+from gsgen.sdk.passes.framework.graph_builder import new_node, unused_name, weight
 
 
 class EndOutputsOnCompute(Rewrite):
@@ -57,7 +57,7 @@ def _does_only_copy(node: ir.Node) -> bool:
 def _append_mul_by_one(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
     assert kind is not None  # the caller skips outputs without a type
-    value.name = free_name(graph, f"{name}_uncopied")
+    value.name = unused_name(graph, f"{name}_uncopied")
     unit = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
     operator = "And" if kind == ir.DataType.BOOL else "Mul"
     node = new_node(operator, [value, unit], f"{name}_end")

@@ -157,10 +157,10 @@ def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> No
     rank = rank_of(node.inputs[1]) or 0
     result: ir.Value | None = None
     for part, (start, end) in zip(parts, pairwise(bounds), strict=True):
-        from_here = before.op("GreaterOrEqual", index, number(start), dtype=_BOOL)
+        is_in_later_part = before.op("GreaterOrEqual", index, number(start), dtype=_BOOL)
         is_before_end = before.op("Less", index, number(end), dtype=_BOOL)
         local_index = before.op("Sub", index, number(start))
-        local_index = before.op("Where", from_here, local_index, zero, dtype=index.dtype)
+        local_index = before.op("Where", is_in_later_part, local_index, zero, dtype=index.dtype)
         local_index = before.op("Where", is_before_end, local_index, zero, dtype=index.dtype)
         gathered = before.op("Gather", part, local_index, axis=axis)
         if result is None:
@@ -168,8 +168,8 @@ def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> No
             continue
         if trailing_axes:
             axes = before.int64(*range(rank, rank + trailing_axes))
-            from_here = before.op("Unsqueeze", from_here, axes)
-        result = before.op("Where", from_here, gathered, result, dtype=part.dtype)
+            is_in_later_part = before.op("Unsqueeze", is_in_later_part, axes)
+        result = before.op("Where", is_in_later_part, gathered, result, dtype=part.dtype)
     assert result is not None
     before.replace(result)
 

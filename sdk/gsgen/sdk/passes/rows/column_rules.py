@@ -191,13 +191,13 @@ def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
     arguments = [constant_of(value) for value in node.inputs[1:] if value is not None]
     if len(arguments) != len(node.inputs) - 1 or any(array is None for array in arguments):
         return None
-    begins, ends, axes, steps = (*arguments, None, None)[:4]
-    assert begins is not None
+    slice_starts, ends, axes, steps = (*arguments, None, None)[:4]
+    assert slice_starts is not None
     assert ends is not None
-    axes = np.arange(len(begins)) if axes is None else axes
-    steps = np.ones(len(begins), np.int64) if steps is None else steps
+    axes = np.arange(len(slice_starts)) if axes is None else axes
+    steps = np.ones(len(slice_starts), np.int64) if steps is None else steps
     slices = [slice(None)] * (rank - 1)
-    for begin, end, axis, step in zip(begins, ends, axes, steps, strict=True):
+    for begin, end, axis, step in zip(slice_starts, ends, axes, steps, strict=True):
         if int(axis) % rank == 0 or step < 1:
             return None
         slices[int(axis) % rank - 1] = slice(int(begin), int(end), int(step))

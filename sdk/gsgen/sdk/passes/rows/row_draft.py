@@ -55,8 +55,8 @@ class RowDraft(DetachedGraph):
         dims = [1] * len(shape)
         dims[rows.axis] = rows.mask.size
         live = self.reshaped(order.live, dims)
-        filler = self.constant(0 if fill_row is None else fill_row, numpy_dtype(value))
-        return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
+        fill_value = self.constant(0 if fill_row is None else fill_row, numpy_dtype(value))
+        return self.op("Where", live, moved, fill_value, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
         """Create the nodes that compute integers a + b · K from the number K of selected rows."""

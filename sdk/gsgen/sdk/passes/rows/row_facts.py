@@ -60,7 +60,7 @@ class Index:
     """The indices of the true elements of a mask, as NonZero returns them."""
 
     mask: Mask
-    form: str  # ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K]
+    index_form: str  # ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K]
 
 
 @dataclass(frozen=True, slots=True)

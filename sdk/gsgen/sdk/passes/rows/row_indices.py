@@ -50,21 +50,21 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
     """Return a row mask's indices after a node reshaped or cast them; None if unknown."""
     if is_op(node, "Cast", "Identity") or (is_op(node, "Max") and len(node.inputs) == 1):
         return index
-    if is_op(node, "Transpose") and index.form != "flat":
+    if is_op(node, "Transpose") and index.index_form != "flat":
         order = node.attributes.get("perm")
         if order is not None and list(order.as_ints()) == [0, 1]:
             return index
-        return Index(index.mask, "rows" if index.form == "columns" else "columns")
+        return Index(index.mask, "rows" if index.index_form == "columns" else "columns")
     if len(index.mask.dims) + len(index.mask.repeats) != 1:
         return None
-    if is_op(node, "Gather") and index.form != "flat":
+    if is_op(node, "Gather") and index.index_form != "flat":
         # Case 1: element 0 along the axis of size one.
         zero, axis = constant_of(node.inputs[1]), int_attribute(node, "axis", 0) % 2
         is_row_axis = zero is not None and zero.ndim == 0 and zero == 0
         return (
             Index(index.mask, "flat") if is_row_axis and _axis_of_size_one(index) == axis else None
         )
-    if is_op(node, "Slice") and index.form != "flat":
+    if is_op(node, "Slice") and index.index_form != "flat":
         # Case 2: the only column (or row): torch separates indices by axes in this way.
         axes = constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
         start = constant_of(node.inputs[1])
@@ -75,7 +75,7 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
     rank = rank_of(node.outputs[0])
     if is_op(node, "Squeeze", "Reshape", "Expand") and rank == 1:
         return Index(index.mask, "flat")  # Case 3: K numbers of any layout
-    if is_op(node, "Unsqueeze") and index.form == "flat":
+    if is_op(node, "Unsqueeze") and index.index_form == "flat":
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
         is_last_axis = axes is not None and int(axes.reshape(-1)[0]) in (1, -1)
         return Index(index.mask, "rows" if is_last_axis else "columns")
@@ -86,7 +86,7 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
 
 
 def _axis_of_size_one(index: Index) -> int:
-    return 0 if index.form == "columns" else 1
+    return 0 if index.index_form == "columns" else 1
 
 
 def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
@@ -96,10 +96,14 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
         return None
     if is_op(node, "Gather"):
         axis = int_attribute(node, "axis", 0) % len(shape)
-        is_valid = index.form == "flat" and len(mask.dims) == 1 and shape[axis] == mask.size
+        is_valid = index.index_form == "flat" and len(mask.dims) == 1 and shape[axis] == mask.size
         return Rows(mask, value, axis) if is_valid else None
     axes = len(mask.dims)
-    if index.form != "rows" or int_attribute(node, "batch_dims", 0) or shape[:axes] != mask.dims:
+    if (
+        index.index_form != "rows"
+        or int_attribute(node, "batch_dims", 0)
+        or shape[:axes] != mask.dims
+    ):
         return None
     return Rows(mask, draft.reshaped(value, [mask.size, *shape[axes:]]), 0)
 
@@ -111,8 +115,8 @@ def gather_nested_rows(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
     rank = rank_of(rows.value) or 1
     if is_op(node, "Gather"):
         gather_axis = int_attribute(node, "axis", 0) % rank
-        is_valid = index.form == "flat" and gather_axis == rows.axis
+        is_valid = index.index_form == "flat" and gather_axis == rows.axis
     else:
-        is_valid = index.form == "rows" and rows.axis == 0
+        is_valid = index.index_form == "rows" and rows.axis == 0
         is_valid = is_valid and not int_attribute(node, "batch_dims", 0)
     return Rows(index.mask, rows.value, rows.axis) if is_valid else None

@@ -78,7 +78,7 @@ def _dims(fact: RowTensorFact) -> list[int | None]:
         axes = len(fact.mask.dims) + len(fact.mask.repeats)
         dims_by_form: dict[str, list[int | None]]
         dims_by_form = {"flat": [None], "rows": [None, axes], "columns": [axes, None]}
-        return [] if fact.mask.repeats else dims_by_form[fact.form]
+        return [] if fact.mask.repeats else dims_by_form[fact.index_form]
     return []
 
 

@@ -179,11 +179,16 @@ def _matmul_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
 def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an Einsum on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
-    input_terms, arrow, output_term = (
+    input_terms, arrow_token, output_term = (
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
     )
     terms = input_terms.split(",")
-    if not arrow or "." in input_terms + output_term or len(terms) != len(facts) or not row_facts:
+    if (
+        not arrow_token
+        or "." in input_terms + output_term
+        or len(terms) != len(facts)
+        or not row_facts
+    ):
         return None
     letters = {
         term[fact.axis] for term, fact in zip(terms, facts, strict=True) if isinstance(fact, Rows)

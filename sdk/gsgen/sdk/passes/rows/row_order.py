@@ -39,8 +39,8 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
     # Step 2: pad the prefix sum to a power of two; the padding compares as larger than any j.
     bits = size.bit_length()
     padding = (1 << bits) - size
-    filler = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
-    padded_sums = draft.op("Concat", sums, filler, dtype=_INT32, shape=[size + padding], axis=0)
+    fill_value = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
+    padded_sums = draft.op("Concat", sums, fill_value, dtype=_INT32, shape=[size + padding], axis=0)
     zero = draft.constant(0, np.int32)
     kept_rows = draft.constant(np.zeros(size), np.int32)
     # Step 3: set the bits of i from the highest to the lowest.
@@ -48,8 +48,8 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
         step = 1 << bit
         probe = kept_rows
         if step > 1:
-            before_first = draft.constant(step - 1, np.int32)
-            probe = draft.op("Add", kept_rows, before_first, dtype=_INT32, shape=[size])
+            index_before_first = draft.constant(step - 1, np.int32)
+            probe = draft.op("Add", kept_rows, index_before_first, dtype=_INT32, shape=[size])
         prefix = draft.op("Gather", padded_sums, probe, dtype=_INT32, shape=[size], axis=0)
         is_below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
         step_increment = draft.op(

@@ -42,7 +42,7 @@ def scatter_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | 
     if mask.parent is not None:  # its indices count the rows of the parent mask
         return None
     dims = (*mask.dims, *mask.repeats)
-    if index.form != "rows" or (reduction is not None and reduction.as_string() != "none"):
+    if index.index_form != "rows" or (reduction is not None and reduction.as_string() != "none"):
         return None
     row_shape = [*mask.repeats] if mask.repeats else list(shape[len(dims) :])
     updates = fixed_shape(rows.value)
@@ -75,8 +75,8 @@ def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | N
     dims = [1] * len(shape)
     dims[rows.axis] = rows.mask.size
     row_mask = draft.reshaped(draft.boolean_mask(rows.mask), dims)
-    filler = draft.constant(_NEUTRAL_BY_OPERATOR[node.op_type], kind.numpy())
-    masked_values = draft.op("Where", row_mask, rows.value, filler, dtype=kind, shape=shape)
+    fill_value = draft.constant(_NEUTRAL_BY_OPERATOR[node.op_type], kind.numpy())
+    masked_values = draft.op("Where", row_mask, rows.value, fill_value, dtype=kind, shape=shape)
     if not is_op(node, "ReduceMean"):
         return draft.like(node, [masked_values, *node.inputs[1:]])[0]
     reduction_axes = draft.constant(sorted(reduced_axes), np.int64)
@@ -110,8 +110,8 @@ def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None
     if not missing:
         return compacted_rows
     filler_rows = np.broadcast_to(row, (missing, *shape[1:]))
-    filler = draft.constant(filler_rows, row.dtype)
-    return draft.op("Concat", compacted_rows, filler, shape=[capacity, *shape[1:]], axis=0)
+    fill_value = draft.constant(filler_rows, row.dtype)
+    return draft.op("Concat", compacted_rows, fill_value, shape=[capacity, *shape[1:]], axis=0)
 
 
 def _concat_padding(node: ir.Node, facts: RowFacts) -> tuple[int, np.ndarray] | None:

@@ -1,6 +1,6 @@
 """Merges consecutive Cast operators."""
 
-__all__ = ["MergeCasts", "holds_all"]
+__all__ = ["MergeCasts", "can_hold_all_values"]
 
 
 import numpy as np
@@ -36,14 +36,18 @@ class MergeCasts(NodeRewrite):
             first_dtype is None
             or middle_dtype is None
             or last_dtype is None
-            or not holds_all(middle_dtype, first_dtype)
+            or not can_hold_all_values(middle_dtype, first_dtype)
         ):
             return False
         # The cast of a number that does not fit differs between dtypes.
         truncates = (
             middle_dtype.is_integer() and last_dtype.is_integer()
         )  # alike in one step or two
-        return holds_all(last_dtype, first_dtype) or first_dtype == ir.DataType.BOOL or truncates
+        return (
+            can_hold_all_values(last_dtype, first_dtype)
+            or first_dtype == ir.DataType.BOOL
+            or truncates
+        )
 
     def replace(self, node: ir.Node) -> None:
         """Cast the input of two consecutive Casts directly to the last dtype."""
@@ -57,11 +61,11 @@ class MergeCasts(NodeRewrite):
         write.replace(write.op("Cast", x, dtype=kind, shape=x.shape, to=int(kind)))
 
 
-def holds_all(container: ir.DataType, contained_type: ir.DataType) -> bool:
+def can_hold_all_values(container: ir.DataType, included_type: ir.DataType) -> bool:
     """Return whether one dtype can represent every number of another dtype."""
-    if contained_type in _INTEGERS_OF_64_BITS and container.is_floating_point():
+    if included_type in _INTEGERS_OF_64_BITS and container.is_floating_point():
         return False  # NumPy calls that safe, although a double holds 53 bits
     try:
-        return bool(np.can_cast(contained_type.numpy(), container.numpy(), casting="safe"))
+        return bool(np.can_cast(included_type.numpy(), container.numpy(), casting="safe"))
     except TypeError:  # strings, and dtypes of four bits
         return False
