@@ -82,7 +82,7 @@ def fly(address: str, folder: Path) -> dict[str, object]:
         uploaded.append(
             sum(arrival.upload_bytes for arrival in source._last_session_frame.arrivals)
         )
-        drawn.append(len(source._last_session_frame.drawn))
+        drawn.append(len(source._last_session_frame.drawn_indices))
         rows.append(source.count)
         resident.append(int(tree.splats[session.resident].sum()))
         missing.append(source._last_session_frame.missing)

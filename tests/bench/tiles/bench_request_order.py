@@ -77,7 +77,7 @@ def stream(
                 (int(tile), 0) for tile in finer_file_order(tree, ladder, held_levels, drawn, eye)
             ]
         for tile, quality in pairs:
-            if link.free and tile not in in_flight:
+            if link.free_request_count and tile not in in_flight:
                 size[tile] = ladder.size[tile, quality]
                 in_flight[tile] = quality
                 link.request(tile)

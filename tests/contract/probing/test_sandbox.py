@@ -516,9 +516,9 @@ def test_lost_output_names_its_probe_after_a_session_restart(folder):
     events = [{"event": "started"}, {"event": "loaded"}, {"event": "begin", "probe": 3}]
     for last in ([], [{"event": "loaded"}], [{"event": "sample"}]):
         fault = sandbox._read_fault_report(
-            [*events, *last], -11, Limits(), folder / "log", is_own=True
+            [*events, *last], -11, Limits(), folder / "log", is_own_model=True
         )
         assert (fault.stage, fault.probe) == ("crash", 3)
     done = [*events, {"event": "run", "probe": 3}]
-    fault = sandbox._read_fault_report(done, -11, Limits(), folder / "log", is_own=True)
+    fault = sandbox._read_fault_report(done, -11, Limits(), folder / "log", is_own_model=True)
     assert fault.probe is None

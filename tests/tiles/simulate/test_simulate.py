@@ -144,8 +144,8 @@ def test_a_link_delivers_what_the_rate_allows(connections: int) -> None:
     clock = VirtualClock(0.3)
     link = SimulatedLink(clock, RateTrace(times, rates), size, rtt=0.05, connections=connections)
     pending, starts, ends = list(range(60)), {}, {}
-    while pending or link.free < connections:
-        while pending and link.free:
+    while pending or link.free_request_count < connections:
+        while pending and link.free_request_count:
             starts[pending[0]] = clock.now()
             link.request(pending.pop(0))
         delivered = link.advance(math.inf)
@@ -173,7 +173,7 @@ def test_a_cancelled_request_has_the_bytes_that_came() -> None:
     assert link.advance(2.5) is None
     assert link.progress(0) == pytest.approx(0.4)
     assert link.cancel(0) == 2000
-    assert link.free == 1
+    assert link.free_request_count == 1
     link.request(1)
     delivered = link.advance(9.0)
     assert delivered is not None

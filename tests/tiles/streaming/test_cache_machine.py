@@ -84,7 +84,7 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
                     leaving_tiles.append(evictable.pop(0))
                     used -= self.slots[leaving_tiles[-1]]
             is_fitting = tile in self.there or used + self.slots[tile] <= CAPACITY
-            victims = self.pool.admit(tile, self.time)
+            victims = self.pool.admit_tile(tile, self.time)
             assert victims == (tuple(leaving_tiles) if is_fitting else None)
             events.extend(["evict"] * len(victims or ()) if is_fitting else ["refuse"])
             assert not self.protected & set(victims or ())

@@ -45,7 +45,7 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
             needed_tiles = np.isin(np.arange(len(tree)), needed_rows)
             pool.frame(float(event), needed_tiles)
         tile = int(rng.integers(len(tree)))
-        victims = pool.admit(tile, float(event))
+        victims = pool.admit_tile(tile, float(event))
         if victims is None:
             refusals += 1
         else:
@@ -68,14 +68,14 @@ def test_the_least_recently_used_and_finest_leave_first(tree: TileTree) -> None:
     fine = int(tree.rows_of_level[3][0])
     finest_tile = int(tree.rows_of_level[3][-1])
     for tile, time in ((0, 0.0), (coarse, 1.0), (fine, 1.0), (finest_tile, 2.0)):
-        assert pool.admit(tile, time) == ()
+        assert pool.admit_tile(tile, time) == ()
     pool.frame(3.0, none_protected)
     new = int(tree.rows_of_level[2][0])
-    assert pool.admit(new, 3.0) == (fine,)
+    assert pool.admit_tile(new, 3.0) == (fine,)
     pool.frame(4.0, none_protected)
-    assert pool.admit(fine, 4.0) == (coarse,)
+    assert pool.admit_tile(fine, 4.0) == (coarse,)
     with_slots = ResidentTiles(tree, np.full(len(tree), 5), 4)
-    assert with_slots.admit(coarse, 0.0) is None
+    assert with_slots.admit_tile(coarse, 0.0) is None
 
 
 def drawn_by_a_walk(tree: TileTree, cut: TileCut, resident: np.ndarray) -> set[int]:

@@ -219,7 +219,7 @@ def test_fault_of_gsgen_on_a_thread_is_raised_and_frees_its_slot() -> None:
     link: FetchLink[bytes, bytes] = FetchLink(fetch, lambda tile, data: data, lambda tile: 1, 2)
     link.request(0)
     link.wait(5)
-    assert link.free == 2
+    assert link.free_request_count == 2
     with pytest.raises(ZeroDivisionError):
         link.poll()
 
@@ -256,7 +256,7 @@ def test_hostile_tile_is_one_line_and_leaves_the_other_drawn(name: str) -> None:
             assert frame.is_complete
             assert [entry.tile for entry in frame.drawn] == [0]
             assert frame.absent_tiles == (1,)
-            assert session._fetch_link.free == options.connections
+            assert session._fetch_link.free_request_count == options.connections
         assert server.strangers == 0
     assert len(lines) == 1
     assert server.address_of("bad.glb") in lines[0]

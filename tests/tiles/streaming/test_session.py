@@ -191,7 +191,7 @@ def test_connections_are_filled_again_between_two_frames(town: Path) -> None:
         arrivals.append(len(frame.arrivals))
         is_complete = frame.is_complete
         # The queue is empty, and all that was requested is decoded.
-        while link.free < options.connections or link._results.qsize() < (
+        while link.free_request_count < options.connections or link._results.qsize() < (
             len(session._planner.in_flight) + len(link._started_requests)
         ):
             assert monotonic() < deadline

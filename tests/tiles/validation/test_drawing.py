@@ -95,7 +95,7 @@ def test_levels_of_a_build_agree(knot_tiles: Path) -> None:
         assert pair.ssim > 0.65
         assert pair.pixels == pytest.approx(16, rel=0.02)
         assert pair.children > 1
-    assert all(tile.covered_mask > 0.9 for tile in result.tiles)
+    assert all(tile.covered > 0.9 for tile in result.tiles)
 
 
 @pytest.mark.parametrize("edit", [turned, shifted, halved, recolored])

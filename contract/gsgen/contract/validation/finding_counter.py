@@ -114,7 +114,7 @@ class FindingCounter:
         return Distribution(*ends, *map(tuple, counts))
 
     @property
-    def fails(self) -> bool:
+    def has_failing_finding(self) -> bool:
         """Whether so many rows or values are invalid that the validation rule fails."""
         return self.count > 0 and self.count > self.min_fraction * self.total
 

@@ -88,7 +88,7 @@ class Appearance(nn.Module):
         self.grids = nn.ModuleList(
             _Resolution(six_planes, position, time) for six_planes in read.grids
         )
-        self.inner_indices = nn.ModuleList(Dense(*layer) for layer in read.inner_indices)
+        self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner_indices)
         heads = [read.heads[name] for name in ("warp", "scaling", "rotation", "opacity")]
         weight, bias = (
             torch.cat(weights_and_biases) for weights_and_biases in zip(*heads, strict=True)

@@ -64,7 +64,7 @@ class FrameCost:
         frames_in_flight: Most frames that were submitted, and not read yet, at the same time.
         waited: Seconds per frame, on average, that the host stood still while it submitted and
             read frames.
-        buffer_growth_count: How often buffers were enlarged after the first frames.
+        growths: How often buffers were enlarged after the first frames.
         redrawn: Number of frames that were drawn again because their buffers were too small.
     """
 
@@ -86,7 +86,7 @@ class FrameCost:
     capacity: int
     frames_in_flight: int
     waited: float
-    buffer_growth_count: int
+    growths: int
     redrawn: int
 
 
@@ -125,7 +125,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
         capacity=len(sequence.player.scene),
         frames_in_flight=statistics.in_flight,
         waited=statistics.waited / max(1, statistics.frames),
-        buffer_growth_count=statistics.buffer_growth_count,
+        growths=statistics.growths,
         redrawn=statistics.redrawn,
     )
 

@@ -31,14 +31,14 @@ class PlayStatistics:
         in_flight: Most frames that were submitted, and not handed out yet, at the same time.
         waited: Seconds that the host stood still while it submitted and read frames: for the GPU,
             or for another process.
-        buffer_growth_count: How often buffers were enlarged because more splats were drawn.
+        growths: How often buffers were enlarged because more splats were drawn.
         redrawn: Number of frames that were drawn again because their buffers were too small.
     """
 
     frames: int = 0
     in_flight: int = 0
     waited: float = 0.0
-    buffer_growth_count: int = 0
+    growths: int = 0
     redrawn: int = 0
 
 
@@ -169,15 +169,10 @@ class FrameQueue:
     @contextmanager
     def _update_statistics(self) -> Iterator[None]:
         """Add to the statistics what happens in a ``with`` block."""
-        buffer_growth_count, start = (
-            self._renderer.buffer_growth_count,
-            time.perf_counter() - time.thread_time(),
-        )
+        growths, start = (self._renderer.growths, time.perf_counter() - time.thread_time())
         try:
             yield
         finally:
             stalled_seconds = time.perf_counter() - time.thread_time() - start
             self.statistics.waited += max(0.0, stalled_seconds)
-            self.statistics.buffer_growth_count += (
-                self._renderer.buffer_growth_count - buffer_growth_count
-            )
+            self.statistics.growths += self._renderer.growths - growths

@@ -195,7 +195,7 @@ class FrameSequence(Playback):
             "device": self.player.renderer.device.name,
             "frames_in_flight": self.player.statistics.in_flight,
             "waited": round(self.player.statistics.waited, 3),
-            "growths": self.player.statistics.buffer_growth_count,
+            "growths": self.player.statistics.growths,
             "redrawn": self.player.statistics.redrawn,
         }
 

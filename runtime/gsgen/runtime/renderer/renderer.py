@@ -115,11 +115,7 @@ class Renderer:
         self._plan: Plan | None = None
         self._plan_shape: object = None
         self._steady_counts: tuple[object, np.ndarray] | None = None
-        self.late_counts, self._readbacks, self.buffer_growth_count = (
-            DelayedCounts(),
-            Readbacks(),
-            0,
-        )
+        self.late_counts, self._readbacks, self.growths = (DelayedCounts(), Readbacks(), 0)
 
     def render(
         self,
@@ -501,4 +497,4 @@ class Renderer:
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
         before, self._pairs = self._pairs, min(int(pairs * PAIR_CAPACITY_FACTOR), max_pairs)
-        self.buffer_growth_count += self._pairs > before
+        self.growths += self._pairs > before

@@ -82,8 +82,8 @@ class Statistics:
         if late_counts := renderer.renderer.late_counts:
             text = f"{MAX_FRAMES_IN_FLIGHT} frames late, waited {1000 * late_counts.wait_seconds:.1f} ms"
             rows.append(("counts", text))
-        if buffer_growth_count := renderer.renderer.buffer_growth_count:
-            rows.append(("buffers", f"grew {buffer_growth_count}×"))
+        if growths := renderer.renderer.growths:
+            rows.append(("buffers", f"grew {growths}×"))
         if is_moving:
             rows.append(("pictures", f"{len(self._frame_times)} a second"))
         for source in playback.sources:

@@ -185,7 +185,7 @@ def _read(
     for tile, content in level_contents:
         size += store.size(content.uri)
         placed = read_tile_content(store, tileset, tile, content)
-        parts += [entry.looking_at_bounds(np.zeros(3)) for entry in placed]
+        parts += [entry.relative_to_origin(np.zeros(3)) for entry in placed]
     if not parts:
         raise TilesetInvalid(
             f"a level of detail of the tileset ({len(level_contents)} tiles) has no splats",

@@ -48,12 +48,12 @@ class DrawnTile:
     Attributes:
         uri: Of the content.
         splats: How many it has.
-        covered_mask: The highest alpha of any pixel of any picture, in [0, 1].
+        covered: The highest alpha of any pixel of any picture, in [0, 1].
     """
 
     uri: str
     splats: int
-    covered_mask: float
+    covered: float
 
 
 @final
@@ -166,7 +166,7 @@ class _TileRenderer:
         return DrawnTile(
             uri=tile.contents[0].uri,
             splats=self.count(cut),
-            covered_mask=max(float(picture[..., 3].max()) for picture in pictures),
+            covered=max(float(picture[..., 3].max()) for picture in pictures),
         )
 
     def compare(self, parent: Tile) -> ComparedLevels | None:

@@ -131,7 +131,7 @@ def _summary_lines(cost: "FrameCost") -> list[str]:
         f"{cost.gaussians:,} Gaussians, {cost.visible:,} visible, {cost.pairs:,} pairs of a "
         "Gaussian and a tile",
         f"{cost.frames_in_flight} frames in flight; the host waited {_milliseconds(cost.waited)} ms "
-        f"a frame; buffers grew {cost.buffer_growth_count}×, frames drawn again: {cost.redrawn}",
+        f"a frame; buffers grew {cost.growths}×, frames drawn again: {cost.redrawn}",
         f"memory of the device: {cost.rows_bytes / _MEGABYTE:.1f} MB of Gaussians, {bytes_per_row:.0f} bytes "
         f"each; {cost.plan_bytes / _MEGABYTE:.1f} MB for drawing",
     ]

@@ -65,8 +65,8 @@ def float16(
 
 
 def _report(result: "Float16Result") -> "Iterator[str]":
-    total = result.float16_result + len(result.retained)
-    yield f"{result.float16_result} of {total} nodes compute in float16, with {result.casts} Casts between"
+    total = result.converted_count + len(result.retained)
+    yield f"{result.converted_count} of {total} nodes compute in float16, with {result.casts} Casts between"
     reasons: dict[str, list[str]] = {}
     for entry in result.retained:
         reasons.setdefault(entry.reason, []).append(entry.node)
@@ -90,7 +90,7 @@ def _entry_document(entry: "RetainedFloat32") -> dict[str, object]:
 def _document(result: "Float16Result") -> dict[str, object]:
     return {
         "path": str(result.path) if result.path else None,
-        "halved": result.float16_result,
+        "halved": result.converted_count,
         "kept": [_entry_document(entry) for entry in result.retained],
         "kept_weights": [_entry_document(entry) for entry in result.retained_weights],
         "casts": result.casts,

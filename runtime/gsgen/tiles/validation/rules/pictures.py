@@ -31,10 +31,10 @@ def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
         The root is drawn, and the leaf with the most splats, each from three sides.
     """
     for tile in inspected.drawn.tiles if inspected.drawn else ():
-        if not tile.covered_mask >= CULL_OPACITY:
+        if not tile.covered >= CULL_OPACITY:
             yield Violation.at(
                 f"content {tile.uri}",
-                f"{tile.splats} splats, and no pixel is covered by more than {tile.covered_mask:.2g}",
+                f"{tile.splats} splats, and no pixel is covered by more than {tile.covered:.2g}",
                 f"at least {CULL_OPACITY:.2g} somewhere",
             )
 
