@@ -88,7 +88,7 @@ class Appearance(nn.Module):
         self.grids = nn.ModuleList(
             _Resolution(six_planes, position, time) for six_planes in read.grids
         )
-        self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner_indices)
+        self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner)
         heads = [read.heads[name] for name in ("warp", "scaling", "rotation", "opacity")]
         weight, bias = (
             torch.cat(weights_and_biases) for weights_and_biases in zip(*heads, strict=True)
@@ -98,7 +98,7 @@ class Appearance(nn.Module):
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:
         """Return a frame's offsets to position, √scale, rotation and opacity of the Gaussians."""
         hidden = torch.cat([grid(frame) for grid in self.grids], dim=1)
-        for layer in self.inner_indices:
+        for layer in self.inner:
             hidden = torch.relu(layer(hidden))
         attributes: Tensor = self.heads(hidden)
         return attributes.transpose(0, 1)
