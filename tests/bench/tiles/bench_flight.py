@@ -78,7 +78,7 @@ class Ladder:
     def _content(self, row: int) -> Splats | None:
         tile = self.tree.tiles[row]
         parts = [
-            placed.looking_at_bounds(np.zeros(3))
+            placed.relative_to_origin(np.zeros(3))
             for content in tile.contents
             for placed in read_tile_content(self.store, self.tileset, tile, content)
         ]

@@ -28,11 +28,11 @@ def tally(*breaches, probe="", starts=None):
 
 def test_counter_without_bad_rows_does_not_fail():
     counter = tally(rows([False] * 3))
-    assert (counter.count, counter.total, counter.fails) == (0, 3, False)
+    assert (counter.count, counter.total, counter.has_failing_finding) == (0, 3, False)
 
 
 def test_counter_without_violations_does_not_fail():
-    assert not tally().fails
+    assert not tally().has_failing_finding
 
 
 def test_rows_are_counted_over_all_chunks_and_numbered_through():
@@ -66,12 +66,12 @@ def test_without_magnitudes_there_is_no_worst_row():
 @pytest.mark.parametrize(("invalid_rows", "is_failing"), [(89, False), (90, False), (91, True)])
 def test_fraction_fails_only_above_its_minimum(invalid_rows, is_failing):
     counter = tally(rows([1] * invalid_rows + [0] * (100 - invalid_rows), min_fraction=0.9))
-    assert counter.fails is is_failing
+    assert counter.has_failing_finding is is_failing
 
 
 def test_fraction_is_taken_over_all_chunks():
     chunks = [rows([1] * 10, min_fraction=0.9), rows([0] * 10, min_fraction=0.9)]
-    assert not tally(*chunks, starts=[0, 10]).fails
+    assert not tally(*chunks, starts=[0, 10]).has_failing_finding
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def content(index: Path, number: int) -> SplatSet:
     tileset = load_tileset(store, index.name)
     tile = tileset.root.children[number]
     (placed,) = read_tile_content(store, tileset, tile, tile.contents[0])
-    return SplatSet(SplatData.from_splats(placed.looking_at_bounds(np.zeros(3))))
+    return SplatSet(SplatData.from_splats(placed.relative_to_origin(np.zeros(3))))
 
 
 @pytest.mark.parametrize("degree", [1, None])

@@ -82,7 +82,7 @@ def edited_parents(edit: Callable[[Splats], Splats], monkeypatch: pytest.MonkeyP
         if len(cut) > 1 or not cut[0][0].children:
             return parts
         center = np.mean([part.origin for part in parts], axis=0)
-        return [PlacedSplats(edit(part.looking_at_bounds(center)), center) for part in parts]
+        return [PlacedSplats(edit(part.relative_to_origin(center)), center) for part in parts]
 
     monkeypatch.setattr(drawing._TileRenderer, "_read", read_edited)
 
