@@ -60,7 +60,7 @@ class Steps(Source):
             count,
         )
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         return self.holds or frames == 0
 
     def abandon(self) -> None:

@@ -118,7 +118,7 @@ class RecordingLink:
         self.connections, self.active, self.requests = connections, [], []
 
     @property
-    def free(self) -> int:
+    def free_request_count(self) -> int:
         return self.connections - len(self.active)
 
     def request(self, tile: int) -> None:

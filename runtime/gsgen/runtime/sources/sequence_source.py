@@ -124,7 +124,7 @@ class SequenceSource(Source):
     def abandon(self) -> None:
         """Return at once: a file is read in :meth:`finish` only."""
 
-    def hold(self, frames: int) -> bool:
+    def hold_frames(self, frames: int) -> bool:
         """Return True: each frame has arrays of its own."""
         return True
 
