@@ -122,7 +122,7 @@ class RecordingLink:
         return self.connections - len(self.active)
 
     def request(self, tile: int) -> None:
-        assert self.free > 0
+        assert self.free_request_count > 0
         assert tile not in self.active
         self.active.append(tile)
         self.requests.append(tile)

@@ -31,7 +31,7 @@ class Predictor(Protocol):
         """Record the camera pose of a frame; times ascend."""
         ...
 
-    def predict(self, ahead: Sequence[float]) -> list[Pose]:
+    def predict(self, seconds_ahead: Sequence[float]) -> list[Pose]:
         """Return the predicted poses, in seconds after the last frame; none after too few frames."""
         ...
 
@@ -52,7 +52,7 @@ class ConstantVelocity:
         while len(self._poses) > 2 and self._poses[1].time < pose.time - VELOCITY_WINDOW:
             self._poses.popleft()
 
-    def predict(self, ahead: Sequence[float]) -> list[Pose]:
+    def predict(self, seconds_ahead: Sequence[float]) -> list[Pose]:
         """Return the predicted camera poses, in seconds after the last frame."""
         if len(self._poses) < 2 or self._poses[-1].time <= self._poses[0].time:
             return []
@@ -64,7 +64,7 @@ class ConstantVelocity:
                 last.position + velocity * seconds,
                 quaternion_product(rotation_quaternion(rate * seconds), last.quaternion),
             )
-            for seconds in ahead
+            for seconds in seconds_ahead
         ]
 
 

@@ -23,8 +23,8 @@ class _NoPredictor:
     def observe(self, pose: Pose) -> None:
         del pose
 
-    def predict(self, ahead: Sequence[float]) -> list[Pose]:
-        del ahead
+    def predict(self, seconds_ahead: Sequence[float]) -> list[Pose]:
+        del seconds_ahead
         return []
 
 
