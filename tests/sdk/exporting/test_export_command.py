@@ -143,6 +143,15 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     assert validate(folder / "out" / "dots.onnx").name == "my dots"
 
 
+def test_the_hint_of_a_refused_module_stands_on_a_line_of_its_own(folder: Path) -> None:
+    completed = run("dots:Choosy", "-o", "m.onnx")
+    assert completed.exit_code == 1
+    first, hint, last = completed.output.strip().splitlines()[-3:]
+    assert first.startswith("gsgen: dots.py:")
+    assert hint.startswith("  torch.where(condition, a, b)")
+    assert last == "gsgen: m.onnx was not written"
+
+
 def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
     completed = run("dots:Tall", "-o", "m.onnx", "--report", "r.json")
     assert completed.exit_code == 1

@@ -156,7 +156,7 @@ def training_camera(scenes: Sequence[Path]) -> str | None:
         try:
             cameras = open_cameras(run.cameras).cameras
         except ConfigInvalid as error:
-            echo(f"note: not used: {error}", err=True)
+            echo(*f"note: not used: {error}".split("\n"), err=True)
             continue
         choice = f"{run.cameras}#{cameras[0].name}"
         text = f"camera {choice}, the first of {len(cameras)}: `--camera {run.cameras}` draws all"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from gsgen.cli.output import echo
+from gsgen.cli.output import echo, echo_error
 from gsgen.cli.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 
@@ -134,7 +134,7 @@ def _show_failure(error: GsgenError) -> None:
     if isinstance(error, ExportRejected):
         show(render(error.report))
     else:
-        echo(f"gsgen: {error}", err=True)
+        echo_error(error)
 
 
 def _show(result: "Exported") -> None:
