@@ -180,8 +180,8 @@ def test_hostile_file_message_names_the_fault(judge: Judge, name: str, rule: str
     ("name", "words"),
     [
         ("empty", "is empty (0 bytes)"),
-        ("zip", "a zip archive"),
-        ("ply", "gsgen export static"),
+        ("zip", "a damaged or cut off ZIP archive"),
+        ("ply", "a PLY file without vertices"),
         ("pointer", "git lfs pull"),
         ("half", "damaged or cut off at byte"),
         ("no graph", "holds no ONNX graph"),
