@@ -20,7 +20,13 @@ import typer
 
 from gsgen.cli.output import echo_error
 from gsgen.cli.progress import clear
-from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
+from gsgen.contract.errors import (
+    ConfigInvalid,
+    ExitCode,
+    GsgenError,
+    HostProcessFailed,
+    ModelUnreadable,
+)
 
 PrintJsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing; list the changes.")]
@@ -58,10 +64,10 @@ def _parse_size(entry: str) -> tuple[str, int]:
 
 @contextmanager
 def exit_at_error() -> Iterator[None]:
-    """Print an error about a model, and exit with the error's code; raise errors about options."""
+    """Print an error about a model, and exit with its code; raise errors of options and of the machine."""
     try:
         yield
-    except ConfigInvalid:
+    except (ConfigInvalid, HostProcessFailed):
         raise
     except GsgenError as error:
         clear()

@@ -41,9 +41,10 @@ def roomy(folder: Path, count: int, megabytes: int) -> Path:
     [
         ("RLIMIT_FSIZE", 1 << 16, "inputs and outputs of the model cannot be stored"),
         ("RLIMIT_DATA", 230 << 20, "this process is limited to 230 MiB"),
+        ("RLIMIT_NOFILE", 24, "Too many open files"),
     ],
 )
-def test_a_full_disk_and_refused_memory_are_no_verdict(
+def test_a_limit_of_the_system_is_no_verdict(
     tmp_path: Path, limit: str, size: int, cause: str
 ) -> None:
     path = roomy(tmp_path, 2_000, 300)

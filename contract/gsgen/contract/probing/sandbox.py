@@ -6,6 +6,7 @@ managed to write and says what happened.
 
 __all__ = ["Execution", "Extremes", "Fault", "Run", "Sample", "execute"]
 
+import errno
 import json
 import os
 import signal
@@ -29,6 +30,7 @@ from gsgen.contract.process.limits import Limits, inherited_memory_limit
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
 _HOST_FAULT_BYTES = 4096
+_FILES_HINT = "Allow this process more open files, for example with `ulimit -n 1024`."
 
 FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
@@ -179,14 +181,20 @@ def execute(
             _write_job(folder, loading_path, outputs, probes, limits, **options)
             start_time = time.monotonic()
             process_end = _run_child(folder, limits.seconds, worker)
+            seconds = time.monotonic() - start_time
+            execution = _collect_results(
+                folder, process_end, seconds, limits, is_own_model=worker == _WORKER
+            )
         except OSError as error:
-            raise _spool_failed_error(folder, error.strerror or str(error)) from error
-        seconds = time.monotonic() - start_time
-        yield _collect_results(folder, process_end, seconds, limits, is_own_model=worker == _WORKER)
+            reason = error.strerror or str(error)
+            too_many_files = error.errno in (errno.EMFILE, errno.ENFILE)
+            hint = _FILES_HINT if too_many_files else ""
+            raise _spool_failed_error(folder, reason, hint) from error
+        yield execution
 
 
-def _spool_failed_error(folder: Path, reason: str) -> HostProcessFailed:
-    hint = "Make room there, or set TMPDIR to a folder that has some."
+def _spool_failed_error(folder: Path, reason: str, hint: str = "") -> HostProcessFailed:
+    hint = hint or "Make room there, or set TMPDIR to a folder that has some."
     message = f"inputs and outputs of the model cannot be stored: {reason}"
     return HostProcessFailed(message, where=str(folder.parent), hint=hint)
 

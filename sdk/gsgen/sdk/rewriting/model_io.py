@@ -28,6 +28,7 @@ def load_model(path: Path) -> ir.Model:
     source = require_loadable(path)
     try:
         model = ir.load(source, format="protobuf")
+        weight_bytes(model)  # raises if a weight has no size, as of an undefined dtype
     except Exception as error:  # onnx-ir's errors share no base class
         message = f"the file is not a readable ONNX graph: {error}"
         raise ModelUnreadable(message, where=str(path)) from error
