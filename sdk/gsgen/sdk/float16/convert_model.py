@@ -17,6 +17,7 @@ import onnx_ir as ir
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
@@ -130,10 +131,12 @@ def write_float16(
             hint="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
             "`gsgen fix`.",
         )
+    probes = probes_of(subject, {})
+    names = [tensor.name for tensor in subject.graph.outputs]
+    _require_run(source, names, probes, limits.for_model(subject.file.weight_bytes))
     model = load_model(source)
     external_weights = has_external_weights(model)
     normalize_model(model)
-    probes = probes_of(subject, {})
     converted, result = to_float16(
         model,
         manifest,
@@ -148,6 +151,16 @@ def write_float16(
         with atomic_write(path) as draft:
             save_model(converted, draft, external_weights=external_weights)
     return replace(result, path=path)
+
+
+def _require_run(
+    source: Path, names: Sequence[str], probes: Sequence[Probe], limits: Limits
+) -> None:
+    """Raise if a model does not run within its limits; the search runs it without any."""
+    with execute(source, names, probes, limits) as execution:
+        if execution.fault is not None:
+            message = f"ONNX Runtime cannot run the model: {execution.fault.message}"
+            raise RewriteFailed(message, where=str(source), hint=execution.fault.hint)
 
 
 def to_float16(
