@@ -75,10 +75,12 @@ def near_origin(
     Coordinates of maps are millions of units, where float32 has steps of half a unit. The origin
     is a multiple of 1000, and a FormatWarning reports it.
     """
+    if position.dtype == np.float32:
+        return np.asarray(position, np.float32), NO_ORIGIN  # no copy
     with np.errstate(over="ignore", invalid="ignore"):
         narrow = position.astype(np.float32)
     is_finite = np.isfinite(narrow).all(axis=1)
-    if position.dtype != np.float64 or not is_finite.any():
+    if not is_finite.any():
         return narrow, NO_ORIGIN
     low, high = position[is_finite].min(axis=0), position[is_finite].max(axis=0)
     if np.abs([low, high]).max() <= MAX_FLOAT32_OFFSET:
