@@ -166,7 +166,7 @@ def test_an_ir_version_of_tomorrow_is_lowered(tmp_path: Path, name: str, version
     proto.ir_version = version
     path.write_bytes(proto.SerializeToString())
     hints = [finding.hint for finding in validate(path).findings if finding.rule == "GG001"]
-    assert "Set model.ir_version = 10: nothing else in the file needs IR" in hints[0]
+    assert "`gsgen fix MODEL -o COPY` sets the version" in hints[0]
     done = repair(path, tmp_path / "fixed.onnx")
     assert [step.description for step in done.repairs] == [
         f"IR version {version} is declared as 10"

@@ -5,7 +5,7 @@ __all__ = ["InspectedModel", "inspect_model", "raised_to_installed"]
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from onnx import ModelProto
 
@@ -22,13 +22,10 @@ from gsgen.contract.spec.manifest import (
     Input,
     Manifest,
 )
-from gsgen.contract.spec.manifest_io import ParsedManifest, parse
+from gsgen.contract.spec.manifest_io import Candidate, ParsedManifest, parse
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import operator_table
 from gsgen.contract.spec.targets import Target
-
-if TYPE_CHECKING:
-    from gsgen.contract.model.manifest_inference import Candidate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +45,7 @@ class InspectedModel:
     file: ModelFile
     graph: Graph
     parsed: ParsedManifest | None
-    candidate: "Candidate | None"
+    candidate: Candidate | None
     target: Target
     limits: Limits
     tolerances: Mapping[str, float] = field(default_factory=dict)

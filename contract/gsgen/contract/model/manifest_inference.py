@@ -4,9 +4,8 @@ Only whole names are recognised, never parts of them. The author confirms or cor
 guess before the manifest is embedded.
 """
 
-__all__ = ["Candidate", "infer_manifest"]
+__all__ = ["infer_manifest"]
 
-from dataclasses import dataclass
 from typing import Literal
 
 from gsgen.contract.model.graph import Graph, Tensor, static_dims
@@ -21,6 +20,7 @@ from gsgen.contract.spec.manifest import (
     Input,
     Space,
 )
+from gsgen.contract.spec.manifest_io import Candidate
 from gsgen.contract.spec.spherical_harmonics import degree_of
 
 _INPUT_NAMES = {
@@ -51,14 +51,6 @@ _COLOR_NAMES = (
 )
 _COUNT_NAMES = ("num_points", "count", "num_gaussians", "n_points")
 _PLACEHOLDER_CAPACITY = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """An inferred manifest, with the guesses that the model's author should confirm."""
-
-    manifest: GeneratorManifest
-    manifest_guesses: tuple[str, ...]
 
 
 def infer_manifest(graph: Graph, name: str) -> Candidate:

@@ -1,11 +1,6 @@
 """The versions that a model file declares, and whether lower ones would mean the same."""
 
-__all__ = [
-    "lower_ir_version_hint",
-    "lower_opset_hint",
-    "lowest_ir_version",
-    "operators_changed_since",
-]
+__all__ = ["lowest_ir_version", "operators_changed_since"]
 
 from collections.abc import Iterator
 from typing import Final
@@ -59,31 +54,6 @@ def operators_changed_since(proto: ModelProto, opset: int) -> tuple[str, ...]:
         if since > opset or declared > onnx.defs.onnx_opset_version():
             changed_operators[node.op_type] = None
     return tuple(changed_operators)
-
-
-def lower_ir_version_hint(proto: ModelProto, most: int) -> str:
-    """Return how to lower the IR version of a model for a runtime that reads ``most``."""
-    needed = lowest_ir_version(proto, most)
-    if needed > most:
-        return f"Export at operator set 18, in float32: what the model uses needs IR {needed}."
-    return (
-        f"Set model.ir_version = {needed}: nothing else in the file needs IR {proto.ir_version}. "
-        "`gsgen fix MODEL -o COPY` does it."
-    )
-
-
-def lower_opset_hint(proto: ModelProto, opset: int) -> str:
-    """Return how to lower the operator set of a model to ``opset``."""
-    changed_operators = operators_changed_since(proto, opset)
-    if not changed_operators:
-        return (
-            f"Declare operator set {opset}: the model has no operator that changed since. "
-            "`gsgen fix MODEL -o COPY` does it."
-        )
-    return (
-        f"Export at operator set {opset} or lower, such as 18: {', '.join(changed_operators[:5])} changed "
-        "since."
-    )
 
 
 def _nodes(proto: ModelProto) -> Iterator[NodeProto]:

@@ -1,6 +1,7 @@
 """Reads and writes manifests as JSON text: parse, upgrade, check against the schema."""
 
 __all__ = [
+    "Candidate",
     "ManifestComplaint",
     "ParsedManifest",
     "dumps",
@@ -21,7 +22,7 @@ from typing import Any
 from gsgen.contract.errors import ManifestInvalid
 from gsgen.contract.spec.fields.json_schema import from_json, schema_of, to_json
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
-from gsgen.contract.spec.manifest import Manifest, manifest_type
+from gsgen.contract.spec.manifest import GeneratorManifest, Manifest, manifest_type
 from gsgen.contract.spec.schema_check import SchemaFault, schema_faults
 from gsgen.contract.spec.upgrades import (
     CONTRACT_VERSION,
@@ -32,6 +33,14 @@ from gsgen.contract.spec.upgrades import (
 )
 
 _MAX_BYTES = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An inferred manifest, with the guesses that the model's author should confirm."""
+
+    manifest: GeneratorManifest
+    manifest_guesses: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,8 +50,8 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
     sun_cosine = cloud.normal @ sun_direction
     diffuse = (
         np.maximum(sun_cosine, 0)
-        + cloud.specular_strength * np.maximum(-sun_cosine, 0)
-        + 0.3 * cloud.specular_strength
+        + cloud.translucency * np.maximum(-sun_cosine, 0)
+        + 0.3 * cloud.translucency
     )
     if shadows:
         diffuse = np.where(_is_in_shadow(cloud.position, sun_direction), 0.12 * diffuse, diffuse)
@@ -113,7 +113,7 @@ def _ground_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=paving_disc.along,
         scale=paving_disc.scale,
         color=color,
-        specular_strength=paving_disc.specular_strength,
+        translucency=paving_disc.translucency,
     )
     soil_cloud = on_disc(
         int(7000 * unit), _LAWN_RADIUS, np.array([0.09, 0.15, 0.04]), hole_radius=_PAVING_RADIUS
@@ -154,7 +154,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=table_top.along,
         scale=table_top.scale,
         color=wood,
-        specular_strength=table_top.specular_strength,
+        translucency=table_top.translucency,
     )
     height, radius = _TABLE_HEIGHT, _TABLE_RADIUS
     brown_color = np.array([0.4, 0.23, 0.12])
@@ -184,7 +184,7 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=vase.along,
         scale=vase.scale,
         color=np.where(bands, [0.85, 0.85, 0.8], vase.color),
-        specular_strength=vase.specular_strength,
+        translucency=vase.translucency,
     )
     bouquet_flowers = _flower_clouds(int(26 * max(unit, 0.2)), (0.24, 0.17, 0.24), 0.055, rng)
     leaves = on_ellipsoid(int(900 * unit), (0.2, 0.14, 0.2), np.array([0.12, 0.3, 0.07]), rng)
@@ -227,7 +227,7 @@ def _flower_clouds(
             along=spoke_tangent,
             scale=size * np.tile([0.24, 0.14, 0.03], (14, 1)),
             color=hue * rng.uniform(0.85, 1.1, (14, 1)),
-            specular_strength=np.full(14, 0.5),
+            translucency=np.full(14, 0.5),
         )
         flower_center = Cloud(
             position=(outward_direction * radii + 0.12 * size * outward_direction)[None],
@@ -235,7 +235,7 @@ def _flower_clouds(
             along=first_axis[None],
             scale=size * np.array([[0.2, 0.2, 0.12]]),
             color=np.array([[0.85, 0.6, 0.1]]),
-            specular_strength=np.zeros(1),
+            translucency=np.zeros(1),
         )
         flower_clouds += [petals, flower_center]
     return join(flower_clouds)
@@ -265,7 +265,7 @@ def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
         along=spoke_tangent,
         scale=bush_crown_points.scale,
         color=bush_crown_points.color * np.exp(0.3 * rng.normal(size=(count, 1))),
-        specular_strength=bush_crown_points.specular_strength,
+        translucency=bush_crown_points.translucency,
     )
     clouds = [hedge_leaves]
     # 2. Trees: a trunk and a crown of leaves.

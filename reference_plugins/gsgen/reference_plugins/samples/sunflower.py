@@ -168,7 +168,7 @@ def _sunflower(count: int, seed: int) -> tuple[Splats, np.ndarray]:
         color=flower_center.color
         * (0.6 + 0.9 * ring_radius)
         * np.exp(0.25 * rng.normal(size=ring_radius.shape)),
-        specular_strength=flower_center.specular_strength,
+        translucency=flower_center.translucency,
     )
     flower_back_points = on_lathe(
         int(0.1 * count), [(0.02, -0.06), (0.15, -0.015)], np.array([0.2, 0.38, 0.1])
@@ -210,7 +210,7 @@ def _petal_clouds(count: int, rng: np.random.Generator) -> list[Cloud]:
                 color=np.array([0.98, 0.62, 0.05])
                 * rng.uniform(0.8, 1.08)
                 * (0.75 + 0.9 * petal_distance),
-                specular_strength=np.full(12, 0.6),
+                translucency=np.full(12, 0.6),
             )
         )
     return petals
@@ -226,7 +226,7 @@ def _tilt_cloud(cloud: Cloud, degrees: float) -> Cloud:
         along=cloud.along @ turn,
         scale=cloud.scale,
         color=cloud.color,
-        specular_strength=cloud.specular_strength,
+        translucency=cloud.translucency,
     )
 
 

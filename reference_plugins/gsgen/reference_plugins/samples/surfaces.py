@@ -22,7 +22,7 @@ class Cloud:
         along: Unit vectors of the first axis in the surface.
         scale: Standard deviations along ``along``, across it and along the normal.
         color: Albedo, linear, from 0 to 1.
-        specular_strength: Share of the light that passes through thin leaves from behind.
+        translucency: Share of the light that passes through thin leaves from behind.
     """
 
     position: Points
@@ -30,7 +30,7 @@ class Cloud:
     along: Points
     scale: Points
     color: Points
-    specular_strength: Float[np.ndarray, " n"]
+    translucency: Float[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.position)
@@ -45,7 +45,7 @@ def join(clouds: Sequence[Cloud]) -> Cloud:
     return Cloud(
         **{
             name: np.concatenate([getattr(cloud, name) for cloud in clouds])
-            for name in ("position", "normal", "along", "scale", "color", "gloss")
+            for name in ("position", "normal", "along", "scale", "color", "translucency")
         }
     )
 
@@ -63,7 +63,7 @@ def _cloud(
         along=along,
         scale=np.tile([size, size, 0.25 * size], (len(position), 1)),
         color=np.broadcast_to(color, position.shape),
-        specular_strength=np.full(len(position), translucency),
+        translucency=np.full(len(position), translucency),
     )
 
 
@@ -147,5 +147,5 @@ def grass_blades(
             [0.6 * half_length, 0.12 * half_length + 0.002, 0.03 * half_length + 0.001], axis=1
         ),
         color=np.broadcast_to(color, roots.shape),
-        specular_strength=np.full(count, 0.5),
+        translucency=np.full(count, 0.5),
     )

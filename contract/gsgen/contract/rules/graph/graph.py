@@ -36,18 +36,20 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
     elif not low <= opset <= high:
-        from gsgen.contract.model.versions import lower_opset_hint
-
-        hint = lower_opset_hint(proto, high) if opset > high else ""
+        hint = ""
+        if opset > high:
+            hint = (
+                f"`gsgen fix MODEL -o COPY` declares operator set {high} if no operator of the model "
+                "changed since; else export at 18."
+            )
         yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}", hint=hint)
     if proto.ir_version > subject.target.ir:
-        from gsgen.contract.model.versions import lower_ir_version_hint
-
         yield Violation.at(
             "ir_version",
             str(proto.ir_version),
             f"{subject.target.ir} at most",
-            hint=lower_ir_version_hint(proto, subject.target.ir),
+            hint="`gsgen fix MODEL -o COPY` sets the version that the operator set and the types of "
+            "the weights need; if that is too high, export at operator set 18, in float32.",
         )
 
 

@@ -155,8 +155,8 @@ static fields = [["name", null, null], ["semantics", null, () => "exact"]];
 class Space$scene extends py.Record {
 static fields = [["handedness", null, () => "right"], ["up", null, () => "-y"], ["unit", null, () => "arbitrary"], ["matrix_order", null, () => "column"], ["origin", () => Number, null], ["metres_per_unit", () => Number, null]];
 }
-class Candidate$manifest_inference extends py.Record {
-static fields = [["manifest", null, null], ["guesses", null, null]];
+class Candidate$manifest_io extends py.Record {
+static fields = [["manifest", () => GeneratorManifest$manifest, null], ["manifest_guesses", null, null]];
 }
 class ParsedManifest$manifest_io extends py.Record {
 static fields = [["manifest", () => GeneratorManifest$manifest, null], ["complaints", () => ManifestComplaint$manifest_io, () => []], ["version", null, null], ["is_newer_version", null, () => false]];
@@ -257,7 +257,7 @@ return py.iter(self._all_nodes);
 }
 __all_nodes() {
   const self = this;
-return [...(function* () { for (const node of py.iter(self.nodes)) for (const inner of py.iter(_nested_nodes$graph(node, 0))) yield inner; })()];
+return [...(function* () { for (const node of py.iter(self.nodes)) for (const nested_node of py.iter(_nested_nodes$graph(node, 0))) yield nested_node; })()];
 }
 get _all_nodes() { return py.cached(this, "_all_nodes", this.__all_nodes); }
 }
@@ -389,12 +389,12 @@ graph = subject.graph;
 declared = [...(function* () { for (const i of py.iter(manifest.inputs)) yield i.name; })()];
 for (name of py.iter(declared)) {
 if ((!py.contains(inputs, name))) {
-yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_text$manifest(inputs));
+yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_names_text$manifest(inputs));
 }
 }
 for (name of py.iter(subject.output_names)) {
 if ((!py.contains(outputs, name))) {
-yield py.violation(`manifest output ${py.str(py.repr(name))}`, "no such graph output", _one_of_text$manifest(outputs));
+yield py.violation(`manifest output ${py.str(py.repr(name))}`, "no such graph output", _one_of_names_text$manifest(outputs));
 }
 }
 for (names of py.iter([declared, py.list(subject.output_names)])) {
@@ -403,7 +403,7 @@ yield py.violation(`manifest name ${py.str(py.repr(name))}`, "declared more than
 }
 }
 }
-function _one_of_text$manifest(names) {
+function _one_of_names_text$manifest(names) {
   let names_text;
 names_text = (py.plus(py.list(py.slice(names, null, 8)).join(", "), ((py.compare(py.len(names), 8) > 0) ? ", …" : "")));
 return (py.bool(names) ? `one of ${py.str(names_text)}` : "a tensor that exists; the graph has none");
@@ -860,7 +860,7 @@ shape = shape_of$input_declarations(subject, entry);
 if (((entry.default == null) || (shape == null))) {
 continue;
 }
-fault = _default_fault$input_declarations(entry, shape);
+fault = _default_value_fault$input_declarations(entry, shape);
 if ((fault != null)) {
 yield py.violation(_input_location$input_declarations(entry), ...py.iter(fault));
 }
@@ -872,7 +872,7 @@ tensor = subject.graph.input(entry.name);
 dims = (py.bool(tensor) ? static_dims$graph(tensor) : null);
 return ((dims == null) ? entry.shape : py.list((function* () { for (const dim of py.iter(dims)) yield py.int(dim); })()));
 }
-function _default_fault$input_declarations(entry, shape) {
+function _default_value_fault$input_declarations(entry, shape) {
   let actual, default_, high, is_quaternion_pose, low, numbers, out_of_range, room;
 default_ = entry.default;
 is_quaternion_pose = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null), [4])));
@@ -1020,17 +1020,17 @@ yield* py.iter(_order_faults$avatar_inputs(entry));
 }
 }
 function* _order_faults$avatar_inputs(entry) {
-  let actual, earlier_names, joint;
-earlier_names = py.set();
+  let actual, joint, preceding_input_names;
+preceding_input_names = py.set();
 for (joint of py.iter(entry.joints)) {
-if ((py.contains(earlier_names, joint.name))) {
+if ((py.contains(preceding_input_names, joint.name))) {
 yield _input_violation$avatar_inputs(entry, `two joints ${py.str(py.repr(joint.name))}`, "different names");
 }
-if (((joint.parent != null) && (!py.contains(earlier_names, joint.parent)))) {
+if (((joint.parent != null) && (!py.contains(preceding_input_names, joint.parent)))) {
 actual = `joint ${py.str(py.repr(joint.name))} before its parent ${py.str(py.repr(joint.parent))}`;
 yield _input_violation$avatar_inputs(entry, actual, "parents first");
 }
-earlier_names.add(joint.name);
+preceding_input_names.add(joint.name);
 }
 }
 function _input_violation$avatar_inputs(entry, actual, expected) {
@@ -1346,21 +1346,29 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, `cells for ${py.str(
 }
 }
 function* opset_supported$graph(subject) {
-  let high, low, opset, opsets, proto;
+  let high, hint, low, opset, proto;
 [low, high] = subject.target.opset;
 proto = subject.file.proto;
-opsets = py.dict((function* () { for (const entry of py.iter(proto.opset_import)) yield [entry.domain, entry.version]; })());
-opset = ((function* () { for (const domain of py.iter(MAIN_DOMAIN$7)) if ((py.contains(opsets, domain))) yield py.item(opsets, domain); })().next().value ?? null);
+opset = declared_opset$model_file(proto);
 if ((opset == null)) {
 yield py.violation("opset_import", "no version of the ONNX operator set", `${py.str(low)} to ${py.str(high)}`);
 } else {
 if (!(py.compare(low, opset) <= 0 && py.compare(opset, high) <= 0)) {
-yield py.violation("opset_import", `operator set ${py.str(opset)}`, `${py.str(low)} to ${py.str(high)}`);
+hint = "";
+if ((py.compare(opset, high) > 0)) {
+hint = `\`gsgen fix MODEL -o COPY\` declares operator set ${py.str(high)} if no operator of the model changed since; else export at 18.`;
+}
+yield py.violation("opset_import", `operator set ${py.str(opset)}`, `${py.str(low)} to ${py.str(high)}`, undefined, undefined, hint);
 }
 }
 if ((py.compare(proto.ir_version, subject.target.ir) > 0)) {
-yield py.violation("ir_version", py.str(proto.ir_version), `${py.str(subject.target.ir)} at most`);
+yield py.violation("ir_version", py.str(proto.ir_version), `${py.str(subject.target.ir)} at most`, undefined, undefined, "`gsgen fix MODEL -o COPY` sets the version that the operator set and the types of the weights need; if that is too high, export at operator set 18, in float32.");
 }
+}
+function declared_opset$model_file(proto) {
+  let versions;
+versions = py.dict((function* () { for (const entry of py.iter(proto.opset_import)) yield [entry.domain, entry.version]; })());
+return ((function* () { for (const domain of py.iter(MAIN_DOMAIN$7)) if ((py.contains(versions, domain))) yield py.item(versions, domain); })().next().value ?? null);
 }
 function* standard_operators$graph(subject) {
   let actual, allowed_domains, graph, known, node;
@@ -1438,11 +1446,11 @@ if (!py.bool(graph.varies(tensor.name))) {
 continue;
 }
 producer = py.get(graph.producers, tensor.name);
-if (((producer != null) && py.bool(_copies_input$capture(graph, producer)))) {
+if (((producer != null) && py.bool(_does_copy_input$capture(graph, producer)))) {
 yield py.violation(location, `made by ${py.str(producer.op_type)}`, "an operator that computes");
 }
 for (node of py.iter(py.item(graph.ancestors(tensor.name), 1))) {
-if (((py.contains(_SCATTER_OPERATORS$25, node.op_type)) && py.bool(_shares_base$capture(graph, node)))) {
+if (((py.contains(_SCATTER_OPERATORS$25, node.op_type)) && py.bool(_does_share_base$capture(graph, node)))) {
 location = `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
 actual = "updates a tensor that others read";
 yield py.violation(location, actual, "Where or Concat");
@@ -1450,7 +1458,7 @@ yield py.violation(location, actual, "Where or Concat");
 }
 }
 }
-function _copies_input$capture(graph, node) {
+function _does_copy_input$capture(graph, node) {
   let axes, axes_inputs, empty, has_axes, is_idle;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
@@ -1471,7 +1479,7 @@ return keeps_all_axes;
 }
 return py.and((py.contains(VARIADIC$24, operator)), () => (py.eq(inputs, 1)));
 }
-function _shares_base$capture(graph, node) {
+function _does_share_base$capture(graph, node) {
   let base;
 base = py.item(node.input, 0);
 return py.or((!py.contains(graph.producers, base)), () => (py.compare(py.get(graph.use_counts, base, 0), 1) > 0));
@@ -1554,12 +1562,12 @@ nodes.push(node);
 return py.list(nodes).reverse();
 }
 function names_read$graph(node) {
-  let attribute, graph, inner, names;
+  let attribute, graph, names, nested_node;
 names = py.list(py.list(node.input).filter(py.bool));
 for (attribute of py.iter(node.attribute)) {
 for (graph of py.iter(subgraphs$model_file(attribute))) {
-for (inner of py.iter(graph.node)) {
-names.push(...py.iter(names_read$graph(inner)));
+for (nested_node of py.iter(graph.node)) {
+names.push(...py.iter(names_read$graph(nested_node)));
 }
 names.push(...py.iter((function* () { for (const output of py.iter(graph.output)) yield output.name; })()));
 }
@@ -1665,40 +1673,40 @@ yield py.violation("manifest blend", generator.blend, "alpha");
 }
 }
 function infer_manifest$manifest_inference(graph, name) {
-  let guesses, inputs, manifest, outputs, unknown;
-guesses = [];
-inputs = py.list((function* () { for (const tensor of py.iter(graph.inputs)) if (py.bool(_role_of$manifest_inference(tensor))) yield _input$manifest_inference(tensor, guesses); })());
+  let inputs, manifest, manifest_guesses, outputs, unknown;
+manifest_guesses = [];
+inputs = py.list((function* () { for (const tensor of py.iter(graph.inputs)) if (py.bool(_role_of$manifest_inference(tensor))) yield _input$manifest_inference(tensor, manifest_guesses); })());
 unknown = [...(function* () { for (const tensor of py.iter(graph.inputs)) if (!py.bool(_role_of$manifest_inference(tensor))) yield tensor.name; })()];
-guesses = (py.plus(guesses, [...(function* () { for (const name of py.iter(unknown)) yield `input ${py.str(py.repr(name))} has no recognisable role: add it by hand`; })()]));
-outputs = new GeneratorOutputs$outputs(_gaussians$manifest_inference(graph, guesses), _appearance$manifest_inference(graph, guesses), _count$manifest_inference(graph, guesses));
+manifest_guesses = (py.plus(manifest_guesses, [...(function* () { for (const name of py.iter(unknown)) yield `input ${py.str(py.repr(name))} has no recognisable role: add it by hand`; })()]));
+outputs = new GeneratorOutputs$outputs(_gaussians$manifest_inference(graph, manifest_guesses), _appearance$manifest_inference(graph, manifest_guesses), _count$manifest_inference(graph, manifest_guesses));
 manifest = new GeneratorManifest$manifest(name, inputs, undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, outputs, new Space$scene());
-guesses.push("space: -y up, arbitrary unit, column matrix order (the usual for 3DGS)");
-guesses.push("bounds: unknown, add the box that holds the Gaussians");
-return new Candidate$manifest_inference(manifest, py.list(guesses));
+manifest_guesses.push("space: -y up, arbitrary unit, column matrix order (the usual for 3DGS)");
+manifest_guesses.push("bounds: unknown, add the box that holds the Gaussians");
+return new Candidate$manifest_io(manifest, py.list(manifest_guesses));
 }
 function _role_of$manifest_inference(tensor) {
   let lower_name;
 lower_name = tensor.name.toLowerCase();
 return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$29.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
 }
-function _input$manifest_inference(tensor, guesses) {
+function _input$manifest_inference(tensor, manifest_guesses) {
   let entry, fixed_dims, has_free_shape, has_named_axes, role, span;
 role = _role_of$manifest_inference(tensor);
-guesses.push(`input ${py.str(py.repr(tensor.name))} is the ${py.str(role)}, by its name`);
+manifest_guesses.push(`input ${py.str(py.repr(tensor.name))} is the ${py.str(role)}, by its name`);
 fixed_dims = static_dims$graph(tensor);
 entry = py.item(ROLES$3, role);
 has_free_shape = py.and((fixed_dims != null), () => (matching_shape$roles(entry, fixed_dims) != null));
 has_named_axes = py.list((function* () { for (const shape of py.iter(entry.shapes)) for (const dim of py.iter(shape)) yield py.isinstance(dim, py.str); })()).some(py.bool);
 span = (((py.eq(role, "time")) || py.bool(entry.needs_range)) ? [py.float(0.0), py.float(1.0)] : null);
 if (py.bool(span)) {
-guesses.push(`input ${py.str(py.repr(tensor.name))} has the range [0, 1]`);
+manifest_guesses.push(`input ${py.str(py.repr(tensor.name))} has the range [0, 1]`);
 }
 return new Input$inputs(tensor.name, role, ((py.bool(has_free_shape) && py.bool(has_named_axes)) ? _fixed_sizes$manifest_inference(fixed_dims) : null), span, "zeros");
 }
 function _fixed_sizes$manifest_inference(dims) {
 return ((dims != null) ? py.list((function* () { for (const dim of py.iter(dims)) yield py.int(dim); })()) : null);
 }
-function _gaussians$manifest_inference(graph, guesses) {
+function _gaussians$manifest_inference(graph, manifest_guesses) {
   let capacity, first, packed_outputs, tensor;
 tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$30);
 packed_outputs = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last_dim$manifest_inference(tensor), 10))) yield tensor; })()];
@@ -1706,10 +1714,10 @@ if (((tensor == null) && (py.eq(py.len(packed_outputs), 1)))) {
 tensor = py.item(packed_outputs, 0);
 }
 if ((tensor == null)) {
-guesses.push(`no output is named like packed Gaussians or is the only one ending in ${py.str(10)}`);
+manifest_guesses.push(`no output is named like packed Gaussians or is the only one ending in ${py.str(10)}`);
 return null;
 }
-guesses.push(`output ${py.str(py.repr(tensor.name))} holds the packed Gaussians`);
+manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds the packed Gaussians`);
 first = (py.bool(tensor.dims) ? py.item(tensor.dims, 0) : null);
 capacity = ((py.isinstance(first, py.int) && (py.compare(first, 0) > 0)) ? first : 1);
 return new GaussiansOutput$outputs(tensor.name, capacity, _float_dtype$manifest_inference(tensor));
@@ -1725,20 +1733,20 @@ return (py.isinstance(dim, py.int) ? dim : 0);
 function _float_dtype$manifest_inference(tensor) {
 return ((py.eq(tensor.dtype, "float16")) ? "float16" : "float32");
 }
-function _appearance$manifest_inference(graph, guesses) {
+function _appearance$manifest_inference(graph, manifest_guesses) {
   let channels, degree, tensor;
 tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$31);
 if ((tensor == null)) {
-guesses.push("no output is named like an appearance");
+manifest_guesses.push("no output is named like an appearance");
 return null;
 }
 channels = _last_dim$manifest_inference(tensor);
 if (((py.contains(py.item(APPEARANCE_CHANNELS$17, "sh"), channels)) && (!py.eq(channels, 3)))) {
 degree = degree_of$spherical_harmonics((Math.floor(channels / 3)));
-guesses.push(`output ${py.str(py.repr(tensor.name))} holds SH of degree ${py.str(degree)}, by its ${py.str(channels)} channels`);
+manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds SH of degree ${py.str(degree)}, by its ${py.str(channels)} channels`);
 return new AppearanceOutput$outputs(tensor.name, "sh", degree);
 }
-guesses.push(`output ${py.str(py.repr(tensor.name))} holds raw RGB, by its ${py.str(py.or(channels, () => "?"))} channels`);
+manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds raw RGB, by its ${py.str(py.or(channels, () => "?"))} channels`);
 return new AppearanceOutput$outputs(tensor.name, "rgb");
 }
 function degree_of$spherical_harmonics(count) {
@@ -1747,14 +1755,14 @@ throw new Error(`${py.str(count)} is not a number of SH coefficients: expected o
 }
 return SH_COEFFICIENT_COUNTS$32.indexOf(count);
 }
-function _count$manifest_inference(graph, guesses) {
+function _count$manifest_inference(graph, manifest_guesses) {
   let tensor;
 tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$33);
 if ((tensor == null)) {
-guesses.push("no output is named like a row count");
+manifest_guesses.push("no output is named like a row count");
 return null;
 }
-guesses.push(`output ${py.str(py.repr(tensor.name))} is the number of live rows`);
+manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} is the number of live rows`);
 return new CountOutput$outputs(tensor.name);
 }
 function parse$manifest_io(text) {
@@ -1862,9 +1870,9 @@ version = [py.int(major), py.int(minor)];
 return document;
 }
 function* schema_faults$schema_check(document, schema) {
-yield* py.iter(_faults$schema_check(document, schema, [], py.get(schema, "$defs", py.dict([]))));
+yield* py.iter(_schema_faults$schema_check(document, schema, [], py.get(schema, "$defs", py.dict([]))));
 }
-function* _faults$schema_check(value, schema, path, definitions) {
+function* _schema_faults$schema_check(value, schema, path, definitions) {
   let entry, item, name, number, options, word;
 if (py.isinstance(schema, py.bool)) {
 return;
@@ -1874,17 +1882,17 @@ if ((py.contains(_ANNOTATION_KEYWORDS$35, word))) {
 continue;
 }
 if ((py.eq(word, "$ref"))) {
-yield* py.iter(_faults$schema_check(value, py.item(definitions, py.item(entry.split("/"), (-1))), path, definitions));
+yield* py.iter(_schema_faults$schema_check(value, py.item(definitions, py.item(entry.split("/"), (-1))), path, definitions));
 } else {
 if ((py.eq(word, "items"))) {
 for ([number, item] of py.iter(py.list((py.isinstance(value, py.list) ? value : [])).entries())) {
-yield* py.iter(_faults$schema_check(item, entry, [...py.iter(path), number], definitions));
+yield* py.iter(_schema_faults$schema_check(item, entry, [...py.iter(path), number], definitions));
 }
 } else {
 if ((py.eq(word, "required"))) {
 for (name of py.iter((py.isinstance(value, py.dict) ? entry : []))) {
 if ((!py.contains(value, name))) {
-yield _fault$schema_check(word, value, schema, path, py.repr(name));
+yield _schema_fault$schema_check(word, value, schema, path, py.repr(name));
 }
 }
 } else {
@@ -1894,13 +1902,13 @@ yield* py.iter(_member_faults$schema_check(word, value, schema, path, definition
 }
 } else {
 if ((py.eq(word, "anyOf"))) {
-options = [...(function* () { for (const option of py.iter(entry)) yield py.list(_faults$schema_check(value, option, path, definitions)); })()];
+options = [...(function* () { for (const option of py.iter(entry)) yield py.list(_schema_faults$schema_check(value, option, path, definitions)); })()];
 if (py.list(options).every(py.bool)) {
-yield _fault$schema_check(word, value, schema, path);
+yield _schema_fault$schema_check(word, value, schema, path);
 }
 } else {
 if (!py.bool(_is_constraint_met$schema_check(word, entry, value))) {
-yield _fault$schema_check(word, value, schema, path);
+yield _schema_fault$schema_check(word, value, schema, path);
 }
 }
 }
@@ -1962,7 +1970,7 @@ return py.isinstance(value, py.str);
 }
 return ((py.eq(name, "boolean")) ? py.isinstance(value, py.bool) : py.and((py.eq(name, "null")), () => (value == null)));
 }
-function _fault$schema_check(word, value, schema, path, message = "") {
+function _schema_fault$schema_check(word, value, schema, path, message = "") {
 return new SchemaFault$schema_check(word, py.item(schema, word), value, schema, path, message);
 }
 function* _member_faults$schema_check(word, value, schema, path, definitions) {
@@ -1976,14 +1984,14 @@ rules = [py.item(properties, name)];
 } else {
 if (((py.eq(word, "additionalProperties")) && (!py.contains(properties, name)) && !py.bool(matching_rules))) {
 if ((py.item(schema, word) === false)) {
-yield _fault$schema_check(word, value, schema, path);
+yield _schema_fault$schema_check(word, value, schema, path);
 return;
 }
 rules = [py.item(schema, word)];
 }
 }
 for (rule of py.iter(rules)) {
-yield* py.iter(_faults$schema_check(part, rule, [...py.iter(path), name], definitions));
+yield* py.iter(_schema_faults$schema_check(part, rule, [...py.iter(path), name], definitions));
 }
 }
 }
@@ -1991,7 +1999,7 @@ function _fault_path$manifest_io(fault) {
 return fault.absolute_path;
 }
 function _complaint_from_fault$manifest_io(fault) {
-  let detail, expected, known, missing, options, unmatched_entries, where;
+  let expected, fault_detail, known, missing, options, unmatched_entries, where;
 where = py.list((function* () { for (const part of py.iter(fault.absolute_path)) yield py.str(part); })()).join(".");
 expected = (py.isinstance(fault.schema, py.dict) ? py.get(fault.schema, "description") : null);
 if ((py.eq(fault.validator, "required"))) {
@@ -2007,8 +2015,8 @@ if ((py.eq(fault.validator, "enum"))) {
 options = py.list((function* () { for (const option of py.iter(fault.validator_value)) yield py.str(option); })()).join(", ");
 return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), `one of ${py.str(options)}`);
 }
-detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
-return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(detail)})` : detail));
+fault_detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
+return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(fault_detail)})` : fault_detail));
 }
 function _is_unknown$manifest_io(name, fault) {
   let known, patterns;
@@ -2068,13 +2076,13 @@ function _output_fields$inspected_model(manifest) {
 return py.list(manifest.outputs.constructor.__dataclass_fields__);
 }
 function* _nested_nodes$graph(node, depth) {
-  let attribute, graph, inner;
+  let attribute, graph, nested_node;
 yield node;
 if ((py.compare(depth, 64) < 0)) {
 for (attribute of py.iter(node.attribute)) {
 for (graph of py.iter(subgraphs$model_file(attribute))) {
-for (inner of py.iter(graph.node)) {
-yield* py.iter(_nested_nodes$graph(inner, (py.plus(depth, 1))));
+for (nested_node of py.iter(graph.node)) {
+yield* py.iter(_nested_nodes$graph(nested_node, (py.plus(depth, 1))));
 }
 }
 }
