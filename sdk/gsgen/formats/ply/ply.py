@@ -100,7 +100,7 @@ def _read_splats(
         groups |= {FILTER_PROPERTY: (FILTER_PROPERTY,)}
     names = tuple(name for group in groups.values() for name in group)
     require_rows(vertex.count, VERTEX)
-    tables = read_columns(data, header, vertex, groups, ("position",))
+    tables = read_columns(data, header, vertex, groups, _wide_groups(vertex))
     position, origin = near_origin(tables["position"], path)
     log_scale, logit_opacity = tables["log_scale"], tables["logit_opacity"].reshape(-1)
     if has_filter:
@@ -130,6 +130,11 @@ def _read_splats(
             error.hint = f"PLY has no type for half floats: write {join_names(short)} as float"
         raise
     return _Content(splats, {vertex.name: names, **used_space})
+
+
+def _wide_groups(vertex: Element) -> tuple[str, ...]:
+    """Return the arrays that are read as float64: positions that are declared as doubles."""
+    return ("position",) if "f8" in [vertex.types[axis] for axis in XYZ] else ()
 
 
 def _constant_term(
@@ -166,7 +171,7 @@ def _read_cloud(
     colors = cloud_colors(vertex.types)
     require_rows(vertex.count, VERTEX)
     groups = {"position": XYZ, "color": colors}
-    tables = read_columns(data, header, vertex, groups, ("position",))
+    tables = read_columns(data, header, vertex, groups, _wide_groups(vertex))
     position, _ = near_origin(tables["position"], path)
     if vertex.types[colors[0]] == "u1":
         tables["color"] /= np.float32(255)
