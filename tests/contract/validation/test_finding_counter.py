@@ -124,3 +124,21 @@ def test_a_million_bad_rows_take_no_more_room_than_five():
     assert len(counter.examples) == 5
     assert counter.worst == Example("(" + ", ".join(["nan"] * 10) + ")", 999_999)
     assert len(counter.message()) < 300
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [1e300, np.nextafter(1e300, np.inf)],  # no room for bins between them
+        [-1.7e308, 1.7e308],  # their difference is infinite
+        [5e-324, 1e-323],
+        [2.0, 2.0],
+        [-np.inf, np.nan, 1.0],
+    ],
+)
+def test_any_finite_values_have_a_distribution(values):
+    invalid_rows = [0] * (len(values) - 1) + [1]
+    distribution = tally(rows(invalid_rows, values)).distribution()
+    finite = np.isfinite(values)
+    assert sum(distribution.valid) == finite[:-1].sum()
+    assert sum(distribution.invalid) == finite[-1]

@@ -108,8 +108,12 @@ class FindingCounter:
         if not len(values):
             return None
         ends = float(values.min()), float(values.max())
+        # Halves do not overflow; values of one number, or too close for bins, share one.
+        width = ends[1] / 2 - ends[0] / 2
+        shares = (values / 2 - ends[0] / 2) / width if width > 0 else np.full(len(values), 0.5)
         counts = [
-            np.histogram(values[mask], _BIN_COUNT, ends)[0].tolist() for mask in (~invalid, invalid)
+            np.histogram(shares[mask], _BIN_COUNT, (0, 1))[0].tolist()
+            for mask in (~invalid, invalid)
         ]
         return Distribution(*ends, *map(tuple, counts))
 
