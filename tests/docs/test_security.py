@@ -8,6 +8,7 @@ from support.commands import ROOT
 
 PROOFS = {
     "Models run in a child process": [
+        "contract/probing/test_sandbox.py::test_a_custom_operator_is_a_fault_of_loading",
         "contract/process/test_confinement.py::test_a_confined_process_reaches_no_network_and_no_process",
         "contract/process/test_confinement.py::test_a_confined_process_reads_its_model_and_no_other_file_of_the_home",
         "contract/process/test_confinement.py::test_a_confined_process_writes_small_files_to_its_folder_alone",

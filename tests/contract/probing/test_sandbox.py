@@ -136,6 +136,19 @@ def test_an_output_that_is_no_numeric_tensor_is_a_fault_with_its_name(folder, te
     assert execution.runs == ()
 
 
+@pytest.mark.usefixtures("children")
+def test_a_custom_operator_is_a_fault_of_loading(folder):
+    proto = model("m (float[1] x) => (float[1] y) { y = Neg (x) }")
+    proto.graph.node[0].domain = "com.example.custom"
+    proto.opset_import.add(domain="com.example.custom", version=1)
+    fault, execution = fault_of(
+        save(folder / "a.onnx", proto), ["y"], [probe(x=np.ones(1, np.float32))]
+    )
+    assert fault.stage == "load"
+    assert "com.example.custom" in fault.message
+    assert execution.runs == ()
+
+
 def test_a_file_that_is_no_model_is_a_fault_of_loading(folder):
     path = folder / "a.onnx"
     path.write_bytes(b"Hello, world!")
