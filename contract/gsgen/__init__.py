@@ -21,8 +21,8 @@ if __spec__ is not None:  # tools that import code look here
 
 # ONNX Runtime and huggingface_hub report their use to their makers unless these are set before
 # they are loaded. Child processes inherit them. A value that the user set stays.
-for _variable in ("ORT_DISABLE_TELEMETRY", "HF_HUB_DISABLE_TELEMETRY"):
-    os.environ.setdefault(_variable, "1")
+for _telemetry_variable in ("ORT_DISABLE_TELEMETRY", "HF_HUB_DISABLE_TELEMETRY"):
+    os.environ.setdefault(_telemetry_variable, "1")
 
 
 def __getattr__(name: str) -> object:

@@ -145,8 +145,8 @@ def suspect_probes(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
     for role, (base, variants) in plan.variants.items():
         if any(finding.where.subject == f"role {role}" for finding in findings):
             matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]
-    distinct = list({id(probe): probe for probe in matches}.values())
-    return distinct[:_MAX_RUNS] or [plan.probes[min(1, plan.values - 1)]]
+    distinct_probes = list({id(probe): probe for probe in matches}.values())
+    return distinct_probes[:_MAX_RUNS] or [plan.probes[min(1, plan.values - 1)]]
 
 
 def _sufficient_probe(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:

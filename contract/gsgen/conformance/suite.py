@@ -64,11 +64,11 @@ def _is_manifest_kind(*kinds: str) -> Callable[[DeclaredFeatures], bool]:
     return lambda declared: declared.kind in kinds
 
 
-def _has_roles(*roles: str) -> Callable[[DeclaredFeatures], bool]:
+def _roles_filter(*roles: str) -> Callable[[DeclaredFeatures], bool]:
     return lambda declared: declared.kind == GENERATOR and bool(declared.roles & {*roles})
 
 
-def _has_id(*ids: str) -> Callable[[Rule], bool]:
+def _rule_id_filter(*ids: str) -> Callable[[Rule], bool]:
     return lambda rule: rule.id in ids
 
 
@@ -91,30 +91,32 @@ ALL_SUITES: tuple[Suite, ...] = (
     Suite(
         "camera",
         "Cameras have the declared form and the expected effect.",
-        _has_roles("view", "projection", "camera_position", "viewport"),
-        _has_id(
+        _roles_filter("view", "projection", "camera_position", "viewport"),
+        _rule_id_filter(
             "GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031", "GV059", "GV054"
         ),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
-        _has_roles("time", "frame_index"),
-        _has_id(
+        _roles_filter("time", "frame_index"),
+        _rule_id_filter(
             "GI003", "GM010", "GB004", "GB005", "GB006", "GB033", "GB034", "TV108", "GI025", "GB040"
         ),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
-        _has_roles("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _has_id("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042", "GB043", "GB044"),
+        _roles_filter("pose", "shape", "expression", "root_translation", "root_rotation"),
+        _rule_id_filter(
+            "GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042", "GB043", "GB044"
+        ),
     ),
     Suite(
         "appearance",
         "Colours have the declared layout and sensible values.",
         _is_manifest_kind(GENERATOR),
-        _has_id(
+        _rule_id_filter(
             *("GM007", "GM008", "GO005", "GO006", "GO007", "GO009", "GV012", "GV013"),
             *("GV014", "GV022", "GV044", "GV045", "GV046", "GV047", "GV048", "TV102", "TV104"),
         ),

@@ -92,7 +92,7 @@ def _model_entry(entry: Entry) -> dict[str, Any]:
         document_of_model = to_dict(entry)
         return {key: document_of_model[key] for key in ("subject", "verdict", "error")}
     document = to_dict(entry.report)
-    tested = {case.rule.id for case in entry.cases}
+    tested_cases = {case.rule.id for case in entry.cases}
     keys = ("subject", "target", "level", "fail_on", "settings", "environment")
     return {
         **{key: document[key] for key in keys},
@@ -102,7 +102,9 @@ def _model_entry(entry: Entry) -> dict[str, Any]:
             {"name": name, "cases": [_case_entry(entry, case) for case in cases]}
             for name, cases in entry.suites.items()
         ],
-        "findings": [finding for finding in document["findings"] if finding["rule"] in tested],
+        "findings": [
+            finding for finding in document["findings"] if finding["rule"] in tested_cases
+        ],
     }
 
 

@@ -162,8 +162,8 @@ def plugin_exits_as_errors() -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         raise
     except BaseException as error:
-        described = PluginExit(short_repr(error)).with_traceback(error.__traceback__)
-        raise described from error
+        described_error = PluginExit(short_repr(error)).with_traceback(error.__traceback__)
+        raise described_error from error
     finally:
         os._exit = exit_process
 

@@ -25,11 +25,11 @@ import unicodedata
 from typing import Any, Final
 
 # Characters without a glyph that Python calls printable: joiners, fillers, variation selectors.
-_INVISIBLE: Final = re.compile(
+_INVISIBLE_CHARACTER_PATTERN: Final = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\uffa0\ufe00-\ufe0f\U000e0100-\U000e01ef]"
 )
 # GitHub runs commands that start with `::` at the start of a line, or with `##[` anywhere.
-_COMMAND: Final = re.compile(r"(?m)^(\s*):(?=:)")
+_WORKFLOW_COMMAND_PATTERN: Final = re.compile(r"(?m)^(\s*):(?=:)")
 _OLD_COMMAND: Final = re.compile(r"#(?=#\[)")
 _MARKUP: Final = re.compile(r"([\\`*_\[\]<>|~@&#])")
 _SHELL_ESCAPES: Final = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\t": r"\t"}
@@ -41,13 +41,13 @@ def printable(text: str, *, kept_chars: str = "") -> str:
     Control characters, marks that change the direction of text, and invisible characters become
     escape sequences of Python, such as ``\x1b``.
     """
-    if text.isprintable() and not _INVISIBLE.search(text):
+    if text.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.search(text):
         return text
     return "".join(c if _has_glyph(c) or c in kept_chars else _escape(c) for c in text)
 
 
 def _has_glyph(character: str) -> bool:
-    return character.isprintable() and not _INVISIBLE.match(character)
+    return character.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.match(character)
 
 
 def _escape(character: str) -> str:
@@ -62,17 +62,19 @@ def for_terminal(text: str, *, starts_line: bool = True) -> str:
         starts_line: Whether it starts a line, where CI systems read commands.
     """
     lines = [
-        line if line.isprintable() and not _INVISIBLE.search(line) else _for_terminal(line)
+        line
+        if line.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.search(line)
+        else _escape_for_terminal(line)
         for line in text.split("\n")
     ]
     safe_text = "\n".join(lines)
     if "::" in safe_text:
         start = 0 if starts_line else safe_text.find("\n") % (len(safe_text) + 1)
-        safe_text = safe_text[:start] + _COMMAND.sub(r"\1\\x3a", safe_text[start:])
+        safe_text = safe_text[:start] + _WORKFLOW_COMMAND_PATTERN.sub(r"\1\\x3a", safe_text[start:])
     return _OLD_COMMAND.sub(r"\\x23", safe_text)
 
 
-def _for_terminal(line: str) -> str:
+def _escape_for_terminal(line: str) -> str:
     return "".join(
         c if _has_glyph(c) or c == "\t" or unicodedata.category(c) == "Zs" else _escape(c)
         for c in line
@@ -96,7 +98,7 @@ def safe_json(text: str) -> str:
     """
     lines = [
         line
-        if line.isprintable() and not _INVISIBLE.search(line)
+        if line.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.search(line)
         else "".join(c if _has_glyph(c) else json.dumps(c)[1:-1] for c in line)
         for line in text.split("\n")
     ]

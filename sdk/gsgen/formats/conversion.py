@@ -96,11 +96,11 @@ def convert(
             the format, or the format cannot hold points; ValueInvalid if the sources have
             different flags, or no splat is left.
     """
-    writer = write or _writer_of(codec, target)
+    writer = write or _writer_for_target(codec, target)
     sources = [source] if isinstance(source, str | os.PathLike) else list(source)
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
-    in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
-    if in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
+    can_convert_in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
+    if can_convert_in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
         large_parts = open_parts(
             sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED_VALUES
         )
@@ -134,7 +134,7 @@ def convert(
     entries: tuple[Difference, ...] = ()
     if is_compared:
         step(f"comparing {target} with the source")
-        entries = _compare_written(reduced, target, codec, read_back or codec.read)
+        entries = _compare_written_splats(reduced, target, codec, read_back or codec.read)
     return Conversion(
         source=", ".join(map(str, sources)),
         target=str(target),
@@ -148,7 +148,7 @@ def convert(
     )
 
 
-def _compare_written(
+def _compare_written_splats(
     splats: Splats, target: FilePath, codec: Codec, read: Callable[[FilePath], Content]
 ) -> tuple[Difference, ...]:
     """Return the differences between splats and the file that they were written to."""
@@ -181,7 +181,7 @@ def _convert_parts(
     )
 
 
-def _writer_of(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], None]:
+def _writer_for_target(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], None]:
     if codec.write is None:
         names = [entry.name for entry in CODECS if entry.write]
         raise NotSupported(

@@ -30,7 +30,7 @@ from gsgen.formats.spz.container import GZIP, is_packed
 STANDARD_INPUT: Final = "-"
 """The path that means standard input."""
 
-_CAMERAS, _OPTIONS = "cameras.json", "cfg_args"
+_CAMERAS_FILE_NAME, _OPTIONS = "cameras.json", "cfg_args"
 # Files of splats in the folder of a training; of those that match, the highest number counts.
 _TRAINING_LAYOUTS: Final = (
     re.compile(r"point_cloud/iteration_(\d+)/point_cloud\.ply"),
@@ -81,7 +81,7 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
     folder = Path(path)
     if not folder.is_dir():
         return None
-    match = _newest(_file_names(folder))
+    match = _newest_cloud(_file_names(folder))
     if match is None or not match[0].endswith("/point_cloud.ply"):
         return None
     cloud = folder / match[0]
@@ -89,7 +89,7 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
     options = run / _OPTIONS
     text = options.read_text("utf-8", "replace") if options.is_file() else ""
     neighbour_names = [file.name for file in sorted(cloud.parent.iterdir()) if file != cloud]
-    networks = [
+    network_files = [
         f"{entry.name}/"
         for entry in sorted(run.iterdir())
         if entry.name != "point_cloud" and entry.is_dir() and any(entry.glob("iteration_*"))
@@ -97,9 +97,9 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
     return TrainingFolder(
         cloud=cloud,
         iteration=match[1],
-        cameras=run / _CAMERAS if (run / _CAMERAS).is_file() else None,
+        cameras=run / _CAMERAS_FILE_NAME if (run / _CAMERAS_FILE_NAME).is_file() else None,
         antialiased=re.search(r"\bantialiasing=True\b", text) is not None,
-        unused=(*networks, *(name for name in neighbour_names if not name.startswith("."))),
+        unused=(*network_files, *(name for name in neighbour_names if not name.startswith("."))),
     )
 
 
@@ -134,10 +134,10 @@ def _standard_input() -> FileContent:
     content = sys.stdin.buffer.read(MAX_BYTES + 1)
     if not content:
         raise FileUnreadable("standard input is empty", expected="the bytes of a file of splats")
-    return _in_memory("standard input", content)
+    return _content_in_memory("standard input", content)
 
 
-def _in_memory(name: str, content: bytes | bytearray) -> FileContent:
+def _content_in_memory(name: str, content: bytes | bytearray) -> FileContent:
     data = mmap.mmap(-1, len(content))
     data[:] = content
     return FileContent(name, data)
@@ -154,7 +154,7 @@ def _file_names(folder: Path) -> list[str]:
     ]
 
 
-def _newest(names: Sequence[str]) -> tuple[str, int] | None:
+def _newest_cloud(names: Sequence[str]) -> tuple[str, int] | None:
     """Return the file of splats with the highest iteration, and this number, of a training."""
     for layout in _TRAINING_LAYOUTS:
         matches = {name: match for name in names if (match := layout.fullmatch(name))}
@@ -166,9 +166,9 @@ def _newest(names: Sequence[str]) -> tuple[str, int] | None:
 
 def _find_file_in_folder(folder: Path) -> Path:
     names = _file_names(folder)
-    newest = _newest(names)
-    if newest is not None:
-        return folder / newest[0]
+    newest_cloud = _newest_cloud(names)
+    if newest_cloud is not None:
+        return folder / newest_cloud[0]
     top_names = [name for name in names if "/" not in name]
     for name in (STREAMED_META, META_FILE, "point_cloud.ply"):
         if name in top_names:
@@ -204,11 +204,11 @@ def _unpack_archive(path: FilePath, max_bytes: int) -> FileContent | None:
         if not (start.startswith(GZIP) or start == ZIP_MAGIC):
             return None
         if start == ZIP_MAGIC:
-            return _from_zip(path, file, max_bytes)
-        return _from_gzip(path, file, max_bytes)
+            return _content_from_zip(path, file, max_bytes)
+        return _content_from_gzip(path, file, max_bytes)
 
 
-def _from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
+def _content_from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
     file.seek(0)
     if is_packed(file.read(RECOGNITION_BYTES)):
         return None  # SPZ is a gzip file itself
@@ -225,10 +225,10 @@ def _from_gzip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | 
             if len(content) > limit:
                 raise _size_error(f"more than {limit}", limit)
     name = os.fspath(path)
-    return _in_memory(name.removesuffix(".gz") if name.endswith(".gz") else name, content)
+    return _content_in_memory(name.removesuffix(".gz") if name.endswith(".gz") else name, content)
 
 
-def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
+def _content_from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | None:
     file.seek(0)
     kind = kind_of(file.read(RECOGNITION_BYTES), file)
     if kind is not None and kind.name == "damaged-zip":
@@ -238,12 +238,14 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
     size = stream_size(file)
     with unpacking("archive"), zipfile.ZipFile(file) as archive:
         entries = [entry for entry in archive.infolist() if _is_content(entry)]
-        newest = _newest([_strip_common_folder(entry.filename, entries) for entry in entries])
+        newest_cloud = _newest_cloud(
+            [_strip_common_folder(entry.filename, entries) for entry in entries]
+        )
         readable = [
             entry
             for entry in entries
-            if newest is None or entry.filename.endswith(newest[0])
-            if newest is not None or _is_readable(archive, entry)
+            if newest_cloud is None or entry.filename.endswith(newest_cloud[0])
+            if newest_cloud is not None or _is_readable(archive, entry)
         ]
         if len(readable) > 1:
             raise _several_files_error("ZIP archive", [entry.filename for entry in readable])
@@ -262,7 +264,7 @@ def _from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileContent | N
                 content += piece
                 if len(content) > limit:
                     raise _size_error(f"more than {limit}", limit)
-    return _in_memory(f"{os.fspath(path)}/{entry.filename}", content)
+    return _content_in_memory(f"{os.fspath(path)}/{entry.filename}", content)
 
 
 def _is_content(entry: zipfile.ZipInfo) -> bool:
@@ -274,9 +276,9 @@ def _is_content(entry: zipfile.ZipInfo) -> bool:
 
 def _strip_common_folder(name: str, entries: Sequence[zipfile.ZipInfo]) -> str:
     folder = name.partition("/")[0] + "/"
-    is_common = all(entry.filename.startswith(folder) for entry in entries)
+    is_common_folder = all(entry.filename.startswith(folder) for entry in entries)
     known = folder in ("point_cloud/", "ply/", "ckpts/", "nerfstudio_models/")
-    return name.removeprefix(folder) if is_common and not known else name
+    return name.removeprefix(folder) if is_common_folder and not known else name
 
 
 def _is_readable(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:

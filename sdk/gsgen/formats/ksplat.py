@@ -44,7 +44,7 @@ _MAX_DEGREE = 2
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Section:
+class _KsplatSection:
     """The header of one section of a KSPLAT file: counts, sizes and quantisation.
 
     Attributes:
@@ -102,8 +102,8 @@ def decode_ksplat(data: Data) -> Splats:
     fields = _FILE_HEADER.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
     if major or data[2:4] != b"\0\0":
-        shown = bytes(data[:4]).hex(" ")
-        raise not_recognised(data, "00 01 00 00, the start of KSPLAT 0.1", shown)
+        magic_text = bytes(data[:4]).hex(" ")
+        raise not_recognised(data, "00 01 00 00, the start of KSPLAT 0.1", magic_text)
     if minor != 1:
         raise NotSupported(
             f"the file has KSPLAT version 0.{minor}", where="byte 1", expected="version 0.1"
@@ -117,7 +117,7 @@ def decode_ksplat(data: Data) -> Splats:
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
     parts = [
         _splats(data, section, level, sh_range)
-        for section in _sections(
+        for section in _read_sections(
             data, sections, FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES, level
         )
     ]
@@ -126,7 +126,7 @@ def decode_ksplat(data: Data) -> Splats:
     return join_splats(parts)
 
 
-def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Section]:
+def _read_sections(data: Data, count: int, start: int, level: int) -> Iterator[_KsplatSection]:
     """Yield the non-empty sections of a KSPLAT file in order."""
     for index in range(count):
         section = _section(data, index, start, level)
@@ -135,7 +135,7 @@ def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Secti
             yield section
 
 
-def _section(data: Data, index: int, start: int, level: int) -> _Section:
+def _section(data: Data, index: int, start: int, level: int) -> _KsplatSection:
     offset = FILE_HEADER_BYTES + index * SECTION_HEADER_BYTES
     fields = _SECTION_HEADER.unpack_from(data, offset)
     count, most, size, buckets, block_size, storage, scale, full_count, partial_count, degree = (
@@ -170,7 +170,7 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
     rows = bucket_centres + storage * buckets
     end = rows + most * _record(level, degree).itemsize
     require_length(data, start, end - start, where)
-    return _Section(
+    return _KsplatSection(
         count=count, degree=degree, bucket_size=size, bucket_count=buckets, block_size=block_size, storage=storage, scale_range=scale or _SCALE_RANGE, full_count=full_count, partial_count=partial_count,
         start=start, buckets=bucket_centres, rows=rows, end=end,
     )  # fmt: skip
@@ -187,7 +187,9 @@ def _record(level: int, degree: int) -> np.dtype:
     return np.dtype(fields)
 
 
-def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, float]) -> Splats:
+def _splats(
+    data: Data, section: _KsplatSection, level: int, sh_range: tuple[float, float]
+) -> Splats:
     record = _record(level, section.degree)
     rows = read_array(data, record, (section.count,), section.rows, "splats")
     rgba = rows["rgba"] / np.float32(255)
@@ -205,7 +207,7 @@ def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, fl
 
 
 def _positions(
-    data: Data, section: _Section, rows: Shaped[np.ndarray, " n"], level: int
+    data: Data, section: _KsplatSection, rows: Shaped[np.ndarray, " n"], level: int
 ) -> Float32[np.ndarray, "n 3"]:
     stored = rows["position"]
     if not level:
@@ -215,7 +217,7 @@ def _positions(
     return np.asarray(steps * step + _bucket_centres(data, section), np.float32)
 
 
-def _bucket_centres(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
+def _bucket_centres(data: Data, section: _KsplatSection) -> Float32[np.ndarray, "n 3"]:
     """Return the centre of the KSPLAT bucket (spatial block) that each splat belongs to."""
     lengths = read_array(data, "<u4", (section.partial_count,), section.start, "bucket lengths")
     if (lengths > section.bucket_size).any():

@@ -69,19 +69,21 @@ def _field_differences(
     shared_count = min(original.sh.shape[1], converted.sh.shape[1])
     for start in range(0, len(original), _CHUNK_ROWS):
         part = slice(start, start + _CHUNK_ROWS)
-        yield "position", _difference(original.position[part], converted.position[part])
+        yield "position", _field_difference(original.position[part], converted.position[part])
         yield "rotation", _degrees(original.rotation[part], converted.rotation[part])
-        yield "scale", _percent(original.log_scale[part], converted.log_scale[part])
+        yield "scale", _percent_text(original.log_scale[part], converted.log_scale[part])
         opacities = (sigmoid(splats.logit_opacity[part]) for splats in (original, converted))
-        yield "opacity", _difference(*opacities)
-        yield "color", SH_C0 * _difference(original.sh[part, 0], converted.sh[part, 0])
+        yield "opacity", _field_difference(*opacities)
+        yield "color", SH_C0 * _field_difference(original.sh[part, 0], converted.sh[part, 0])
         yield (
             "harmonics",
-            _difference(original.sh[part, 1:shared_count], converted.sh[part, 1:shared_count]),
+            _field_difference(
+                original.sh[part, 1:shared_count], converted.sh[part, 1:shared_count]
+            ),
         )
 
 
-def _difference(
+def _field_difference(
     original: Float[np.ndarray, "..."], converted: Float[np.ndarray, "..."]
 ) -> Float64[np.ndarray, "..."]:
     return np.asarray(original.astype(np.float64) - converted)
@@ -96,7 +98,7 @@ def _degrees(
     return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*distances) / 2, 1))))
 
 
-def _percent(
+def _percent_text(
     original: Float[np.ndarray, "n 3"], converted: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " m"]:
     is_finite = np.isfinite(original) & np.isfinite(converted)

@@ -96,8 +96,8 @@ def _native_byte_order(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "
 def _cloud(
     key: str, points: Shaped[np.ndarray, "..."], colors: Shaped[np.ndarray, "..."]
 ) -> PointCloud:
-    position = _triples(points, key)
-    color = _triples(colors, _COLORS_KEY, extra_dtype=np.uint8)
+    position = _float32_triples(points, key)
+    color = _float32_triples(colors, _COLORS_KEY, extra_dtype=np.uint8)
     require_rows(len(position), f"array {key}")
     if len(color) != len(position):
         raise ValueInvalid(
@@ -112,7 +112,7 @@ def _cloud(
     return PointCloud(position, color)
 
 
-def _triples(
+def _float32_triples(
     array: Shaped[np.ndarray, "..."], key: str, *, extra_dtype: type[np.uint8] | None = None
 ) -> Float32[np.ndarray, "n 3"]:
     """Convert an [n, 3] array of floats (or of the dtype ``extra_dtype``) to float32; raise otherwise."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gsgen.contract.tools.doctor import Check, check_package
 from gsgen.contract.validation.level_backend import LevelUnavailable
 
-_LIVE_CHECK = "level live"
+_LIVE_CHECK_NAME = "level live"
 
 
 def checks() -> Iterator[Check]:
@@ -16,7 +16,9 @@ def checks() -> Iterator[Check]:
     for name in ("torch", "onnxscript", "onnx-ir"):
         yield check_package(name, remedy, purpose="export from torch")
     yield check_package("scipy", remedy, purpose="sizes of bare point clouds")
-    yield check_package("onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE_CHECK)
+    yield check_package(
+        "onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE_CHECK_NAME
+    )
     yield _adapter()
 
 
@@ -32,7 +34,7 @@ def _adapter() -> Check:
             state="missing",
             detail=error.message,
             remedy=error.hint,
-            purpose=_LIVE_CHECK,
+            purpose=_LIVE_CHECK_NAME,
         )
     except RuntimeError as error:
         return Check(
@@ -40,6 +42,8 @@ def _adapter() -> Check:
             state="broken",
             detail=str(error),
             remedy="pip install -U onnxruntime",
-            purpose=_LIVE_CHECK,
+            purpose=_LIVE_CHECK_NAME,
         )
-    return Check(name="webgpu", state="ok", detail=survey_result["adapter"], purpose=_LIVE_CHECK)
+    return Check(
+        name="webgpu", state="ok", detail=survey_result["adapter"], purpose=_LIVE_CHECK_NAME
+    )

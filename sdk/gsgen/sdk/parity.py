@@ -162,7 +162,7 @@ class Comparison:
     def add(self, reference: Reference, output: ModelOutput) -> None:
         """Compare a model's outputs with the expected outputs for one set of test inputs."""
         self._probe_count += 1
-        if reference.probe.zeros and not _all_finite(reference):
+        if reference.probe.zeros and not _is_reference_finite(reference):
             return  # the module's own fault, which rule GI009 reports
         fields, jumped_rows = _compare_probe(
             reference, output, self._allowance, self._nearby_references
@@ -248,7 +248,7 @@ def _arrays_agree(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) 
     return np.allclose(a, b, rtol=tolerance, atol=floor, equal_nan=True)
 
 
-def _all_finite(reference: Reference) -> bool:
+def _is_reference_finite(reference: Reference) -> bool:
     g, cells = reference.gaussians, reference.cells
     parts = [g.position, g.covariance, g.opacity]
     if cells is not None:
@@ -286,7 +286,9 @@ def _compare_probe(
         # Step 2: a few others may be as they are nearby.
         allowed_jump_count = max(1, _MAX_JUMP_FRACTION * n) - has_jumped
         if nearby is not None and 0 < len(rows) <= _MAX_EXTRA_ROWS + allowed_jump_count:
-            errors, jumped_rows = _retry_nearby(errors_at, reference, rows, nearby(reference))
+            errors, jumped_rows = _retry_at_nearby_inputs(
+                errors_at, reference, rows, nearby(reference)
+            )
             if jumped_rows <= allowed_jump_count:
                 pending_errors = [(errors, rows)]
                 has_jumped += jumped_rows
@@ -300,8 +302,8 @@ def _select_errors(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
     return {name: (error[mask], allowed[mask]) for name, (error, allowed) in errors.items()}
 
 
-def _retry_nearby(
-    errors_at: "_MeasureErrors", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
+def _retry_at_nearby_inputs(
+    errors_at: "_ErrorMeasure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple[Errors, int]:
     """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
     errors = errors_at(rows, reference)
@@ -319,7 +321,7 @@ def _retry_nearby(
     return errors, int(np.count_nonzero(has_jumped))
 
 
-_MeasureErrors = Callable[[np.ndarray, Reference], Errors]
+_ErrorMeasure = Callable[[np.ndarray, Reference], Errors]
 
 
 def _row_errors(

@@ -90,7 +90,7 @@ class GeneratorConformance:
             pytest.fail(f"{error}", pytrace=False)
 
     @pytest.fixture
-    def _require_no_crash(
+    def _require_no_rule_crash(
         self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest
     ) -> None:
         """Pytest fixture: reports a crashed rule as a test error instead of a test failure."""
@@ -117,7 +117,7 @@ def _suite_name(rule: Rule) -> str:
 def _make_suite_test(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
     """Return a pytest function that tests one validation rule of a conformance suite on a model."""
 
-    @pytest.mark.usefixtures("_require_no_crash")
+    @pytest.mark.usefixtures("_require_no_rule_crash")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
         __tracebackhide__ = True
         try:

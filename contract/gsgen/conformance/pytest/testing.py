@@ -136,7 +136,7 @@ def _checks(request: Request, pytest_session: ConformanceSession, folder: Path) 
         target=request.target, level=request.level
     )
     suites = [find_suite(name, "suites").name for name in request.suites] or pytest_session.suites
-    expected = _resolve_expected(request.expected, pytest_session, folder)
+    expected = _resolve_expected_findings(request.expected, pytest_session, folder)
     models = request.models() if callable(request.models) else request.models
     paths = [folder / path for path in models]
     rules_by_model = {path: pytest_session.plan(path, settings) for path in paths}
@@ -155,7 +155,7 @@ def _checks(request: Request, pytest_session: ConformanceSession, folder: Path) 
     ]
 
 
-def _resolve_expected(
+def _resolve_expected_findings(
     entries: PathLike | tuple[ExpectedFailure, ...] | None,
     pytest_session: ConformanceSession,
     folder: Path,
@@ -171,11 +171,11 @@ def refuse_unmatched_entries(
     expected: Iterable[ExpectedFailure], rules_by_model: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
     """Raise UsageError if an expected failure matches no validation rule of any tested model."""
-    tested = {
+    tested_cases = {
         path: [rule.id for rules in rules_by_suite.values() for rule in rules]
         for path, rules_by_suite in rules_by_model.items()
     }
-    for entry in unmatched_entries(expected, tested):
+    for entry in unmatched_entries(expected, tested_cases):
         raise pytest.UsageError(
             f"gsgen: an expected failure matches no rule of any tested model: remove it\n  {entry}"
         )

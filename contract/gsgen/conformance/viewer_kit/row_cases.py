@@ -25,17 +25,17 @@ _ORBIT_FRAME_ONLY = (orbit_frame(),)
 _FAR_AND_ORBIT_FRAMES = (KitFrame(camera=kit_camera((2.0, -1.2, 3.0))), orbit_frame())
 _SH_FAULTS = (*COMMON_FAULTS, "sh-offset", "sh-order", "sh-direction")
 _SORTED_SH_FAULTS = (*_SH_FAULTS, "sh-clamp", "order")
-_SH_GAIN = 4.0  # colours that change enough with the direction to be seen
+_SH_AMPLIFICATION = 4.0  # colours that change enough with the direction to be seen
 
 
 def _scene_model(kind: Kind, degree: int | None, dtype: Floats = "float32") -> ModelSpec:
     parts = scene(kind, 90)
     sh = parts.sh.copy()
-    sh[:, 1:] *= _SH_GAIN
+    sh[:, 1:] *= _SH_AMPLIFICATION
     return model_of_gaussians(pack(replace(parts, sh=sh), degree), dtype)
 
 
-def _four_channels() -> ModelSpec:
+def _four_channel_model() -> ModelSpec:
     model = still(40, degree=None)
     rgb = model.weights["colors"]
     padded_rgb = np.concatenate([rgb, np.full((len(rgb), 1), 0.25, np.float32)], axis=1)
@@ -136,7 +136,7 @@ ROW_CASES: tuple[ViewerKitCase, ...] = (
         name="rgb-four-channels",
         tests="Raw RGB with a fourth channel that has no meaning.",
         faults=(*COMMON_FAULTS, "fourth-channel", "order", "order-distance"),
-        spec=_four_channels,
+        spec=_four_channel_model,
         frames=_ORBIT_FRAME_ONLY,
     ),
     ViewerKitCase(

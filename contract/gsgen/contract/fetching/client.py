@@ -23,11 +23,11 @@ from gsgen.contract.fetching.responses import FilePart, check_status
 _SECONDS: Final = 60.0  # for one file, all attempts together
 _LARGE_FILE_SECONDS: Final = 3600.0
 _STALL_SECONDS: Final = 8.0  # for the headers, and for each kilobyte after them
-_RETRIES: Final = 4
+_MAX_RETRY_COUNT: Final = 4
 _BACKOFF_SECONDS: Final = 0.25
 _MAX_REDIRECTS: Final = 5
-_REDIRECTS: Final = (301, 302, 303, 307, 308)
-_MAX_UNDECLARED: Final = 32 << 20
+_REDIRECT_STATUSES: Final = (301, 302, 303, 307, 308)
+_MAX_UNDECLARED_BYTES: Final = 32 << 20
 """Most bytes in memory of a response that is compressed, or does not declare its length."""
 
 _PERMANENT_ERRORS: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierror)
@@ -97,7 +97,7 @@ class WebClient:
         allow_origins: Sequence[str] = (),
     ) -> None:
         self._home_origin = _parse(home_address).origin
-        self._allowed = {self._home_origin} | {
+        self._allowed_origins = {self._home_origin} | {
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }
         self._headers = dict(headers or {})
@@ -122,7 +122,7 @@ class WebClient:
                     )
                 return int(length)
 
-        return self._with_retries(attempt, deadline)
+        return self._fetch_with_retries(attempt, deadline)
 
     def read(
         self,
@@ -155,9 +155,9 @@ class WebClient:
             start=start,
             size=size,
             max_bytes=max_bytes,
-            max_undeclared=_MAX_UNDECLARED,
+            max_undeclared=_MAX_UNDECLARED_BYTES,
         )
-        self._copy(part, data, on_bytes, deadline or self.deadline())
+        self._copy_response_body(part, data, on_bytes, deadline or self.deadline())
         return data.getvalue()
 
     def copy(
@@ -175,9 +175,9 @@ class WebClient:
             FetchFailed: The file cannot be had; the subclass says why.
         """
         part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
-        self._copy(part, into, _ignore_bytes, deadline or self.deadline())
+        self._copy_response_body(part, into, _ignore_bytes, deadline or self.deadline())
 
-    def _copy(
+    def _copy_response_body(
         self, part: FilePart, into: BinaryIO, on_bytes: ByteProgressCallback, deadline: Deadline
     ) -> None:
         def attempt() -> None:
@@ -194,7 +194,7 @@ class WebClient:
                     into.write(piece)
                     on_bytes(into.tell())
 
-        self._with_retries(attempt, deadline)
+        self._fetch_with_retries(attempt, deadline)
 
     def close(self) -> None:
         """Close all connections; requests that run end with an error."""
@@ -216,9 +216,9 @@ class WebClient:
         default = _LARGE_FILE_SECONDS if is_large else _SECONDS
         return Deadline(fetch_seconds(default) if self._seconds is None else self._seconds)
 
-    def _with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
+    def _fetch_with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
         """Try a request again after transient failures, until the deadline of its file."""
-        for backoff in [*(_BACKOFF_SECONDS * 2**index for index in range(_RETRIES)), 0.0]:
+        for backoff in [*(_BACKOFF_SECONDS * 2**index for index in range(_MAX_RETRY_COUNT)), 0.0]:
             try:
                 return attempt()
             except ServerUnavailable as error:
@@ -238,7 +238,7 @@ class WebClient:
         for _ in range(_MAX_REDIRECTS + 1):
             connection, response = self._send_request(method, target, address, headers, deadline)
             try:
-                if response.status not in _REDIRECTS:
+                if response.status not in _REDIRECT_STATUSES:
                     check_status(response, address, is_ranged="Range" in headers)
                     yield response, connection
                     return
@@ -257,14 +257,14 @@ class WebClient:
         deadline: Deadline,
     ) -> tuple[WebConnection, HTTPResponse]:
         """Send a request, and return its response, whose body was not read."""
-        own_headers = self._headers if target.origin == self._home_origin else {}
-        sent_headers = {"User-Agent": "gsgen", **own_headers, **headers}
+        origin_headers = self._headers if target.origin == self._home_origin else {}
+        sent_headers = {"User-Agent": "gsgen", **origin_headers, **headers}
         while True:
-            with self._failures_of(address, deadline):
+            with self._translate_failures(address, deadline):
                 connection = self._pool.take(target.origin)
             is_reused = connection.is_reused
             try:
-                with self._failures_of(address, deadline):
+                with self._translate_failures(address, deadline):
                     response = connection.ask(
                         method, target.target, sent_headers, deadline.within(self._stall_seconds)
                     )
@@ -280,10 +280,10 @@ class WebClient:
         self, address: str, current_address: str, location: str
     ) -> tuple[WebAddress, str]:
         """Return the address of an HTTP redirect; raise if its origin is not allowed."""
-        allowed = " or ".join(sorted(map(str, self._allowed)))
+        allowed = " or ".join(sorted(map(str, self._allowed_origins)))
         try:
-            redirected = urljoin(current_address, location)
-            target = parse_address(redirected) if location else None
+            redirected_address = urljoin(current_address, location)
+            target = parse_address(redirected_address) if location else None
         except ValueError:
             target = None
         if target is None:
@@ -291,13 +291,13 @@ class WebClient:
                 f"the server redirects to {location!r:.200}; expected an address of {allowed}",
                 where=address,
             )
-        if target.origin not in self._allowed:
+        if target.origin not in self._allowed_origins:
             raise AddressNotAllowed(
-                f"the server redirects to {redirected!r:.200}; expected an address of {allowed}",
+                f"the server redirects to {redirected_address!r:.200}; expected an address of {allowed}",
                 where=address,
                 hint=f"Trust it with --allow-origin {target.origin}.",
             )
-        return target, redirected
+        return target, redirected_address
 
     def _chunks(
         self,
@@ -312,14 +312,14 @@ class WebClient:
             response, connection.wire, deadline, stall=self._stall_seconds, max_bytes=max_bytes
         )
         while True:
-            with self._failures_of(address, deadline, has_begun=True):
+            with self._translate_failures(address, deadline, has_begun=True):
                 chunk = next(chunks, None)
             if chunk is None:
                 return
             yield chunk
 
     @contextmanager
-    def _failures_of(
+    def _translate_failures(
         self, address: str, deadline: Deadline, *, has_begun: bool = False
     ) -> Iterator[None]:
         """Translate exceptions of sockets and ``http.client`` into those of this room."""

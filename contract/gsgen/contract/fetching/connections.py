@@ -108,7 +108,12 @@ class ConnectionPool:
             if self.is_closed:
                 raise OSError("the client is closed")
             connection = next(
-                (idle for idle in self._idle_connections if idle.origin == origin), None
+                (
+                    idle_connection
+                    for idle_connection in self._idle_connections
+                    if idle_connection.origin == origin
+                ),
+                None,
             )
             if connection is None:
                 connection = WebConnection(origin)

@@ -89,8 +89,8 @@ class DeadlineSocket:
         deadline: When reading and writing fails with ``TimeoutError``; it may be replaced.
     """
 
-    def __init__(self, connected: socket.socket, deadline: Deadline) -> None:
-        self._socket, self.deadline = connected, deadline
+    def __init__(self, connected_socket: socket.socket, deadline: Deadline) -> None:
+        self._socket, self.deadline = connected_socket, deadline
 
     def sendall(self, data: "ReadableBuffer") -> None:
         """Send all bytes."""
@@ -140,7 +140,7 @@ def connect(host: str, port: int, deadline: Deadline, *, encrypted: bool) -> Dea
         OSError: It cannot be reached; ``TimeoutError`` after the deadline.
         ValueError: The host is not a host name.
     """
-    endpoints = _look_up(host, port, deadline)
+    endpoints = _look_up_addresses(host, port, deadline)
     failure: OSError = OSError(f"{host} has no address")
     for index, (family, address) in enumerate(endpoints):
         connection = socket.socket(family, socket.SOCK_STREAM)
@@ -150,7 +150,7 @@ def connect(host: str, port: int, deadline: Deadline, *, encrypted: bool) -> Dea
             connection.connect(address)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if encrypted:
-                connection = _encrypt(connection, host, deadline)
+                connection = _encrypt_connection(connection, host, deadline)
             return DeadlineSocket(connection, deadline)
         except OSError as error:
             connection.close()
@@ -164,7 +164,7 @@ def connect(host: str, port: int, deadline: Deadline, *, encrypted: bool) -> Dea
 _Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
 
 
-def _look_up(
+def _look_up_addresses(
     host: str, port: int, deadline: Deadline
 ) -> list[tuple[socket.AddressFamily, _Address]]:
     """Look up the addresses of a host on a thread, since the system's call has no time limit."""
@@ -187,7 +187,7 @@ def _look_up(
     return result
 
 
-def _encrypt(connection: socket.socket, host: str, deadline: Deadline) -> ssl.SSLSocket:
+def _encrypt_connection(connection: socket.socket, host: str, deadline: Deadline) -> ssl.SSLSocket:
     context = ssl.create_default_context()
     encrypted = context.wrap_socket(connection, server_hostname=host, do_handshake_on_connect=False)
     try:

@@ -39,13 +39,13 @@ def body_chunks(
         ValueError: Its chunks are malformed.
     """
     received = _received_chunks(response, connection, deadline, stall)
-    coding = (response.getheader("Content-Encoding") or "").strip().lower()
-    if coding in ("", "identity"):
+    content_coding = (response.getheader("Content-Encoding") or "").strip().lower()
+    if content_coding in ("", "identity"):
         yield from received
-    elif coding in _ZLIB_FORMATS:
-        yield from _decoded_chunks(received, coding, max_bytes + _CODING_OVERHEAD)
+    elif content_coding in _ZLIB_FORMATS:
+        yield from _decoded_chunks(received, content_coding, max_bytes + _CODING_OVERHEAD)
     else:
-        raise HTTPException(f"its Content-Encoding is {coding:.40}, not gzip or deflate")
+        raise HTTPException(f"its Content-Encoding is {content_coding:.40}, not gzip or deflate")
 
 
 def _received_chunks(
@@ -68,19 +68,21 @@ def _received_chunks(
         raise HTTPException(f"{missing:,} bytes are missing")
 
 
-def _decoded_chunks(received: Iterator[bytes], coding: str, max_coded: int) -> Iterator[bytes]:
+def _decoded_chunks(
+    received: Iterator[bytes], content_coding: str, max_coded_bytes: int
+) -> Iterator[bytes]:
     """Undo gzip or deflate in small pieces, so that no body exhausts the memory."""
-    decoder = zlib.decompressobj(_ZLIB_FORMATS[coding])
+    decoder = zlib.decompressobj(_ZLIB_FORMATS[content_coding])
     for chunk in received:
-        max_coded -= len(chunk)
-        if max_coded < 0:
-            raise HTTPException(f"the {coding} stream does not end")
+        max_coded_bytes -= len(chunk)
+        if max_coded_bytes < 0:
+            raise HTTPException(f"the {content_coding} stream does not end")
         while chunk and not decoder.eof:
             try:
                 piece = decoder.decompress(chunk, _CHUNK_BYTES)
             except zlib.error as error:
-                raise HTTPException(f"the body is not {coding}") from error
+                raise HTTPException(f"the body is not {content_coding}") from error
             chunk = decoder.unconsumed_tail
             yield piece
     if not decoder.eof:
-        raise HTTPException(f"the {coding} stream is truncated")
+        raise HTTPException(f"the {content_coding} stream is truncated")

@@ -11,7 +11,7 @@ from typing import Final, final
 
 from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, ServerUnavailable
 
-_NOT_FOUND: Final = (404, 410)
+_NOT_FOUND_STATUSES: Final = (404, 410)
 _TRANSIENT_STATUSES: Final = (429, 500, 502, 503, 504)
 _MAX_RETRY_AFTER_DIGITS: Final = 15  # of a Retry-After
 
@@ -88,9 +88,9 @@ def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> No
     status = response.status
     if status == 200 or (is_ranged and status in (206, 416)):
         return
-    if status in _NOT_FOUND:
+    if status in _NOT_FOUND_STATUSES:
         raise FileMissing(f"the server answers {status}", where=address)
-    wait = _retry_after(response.getheader("Retry-After", ""))
+    wait = _retry_after_seconds(response.getheader("Retry-After", ""))
     suffix = f", and asks to wait {wait:,.0f} s" if wait else ""
     raise ServerUnavailable(
         f"the server answers {status}{suffix}",
@@ -100,7 +100,7 @@ def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> No
     )
 
 
-def _retry_after(text: str) -> float:
+def _retry_after_seconds(text: str) -> float:
     """Return the seconds of a ``Retry-After`` header, which may be a date; 0 if malformed."""
     if text.isascii() and text.isdigit():
         return float(text[:_MAX_RETRY_AFTER_DIGITS])

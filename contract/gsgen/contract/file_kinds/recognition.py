@@ -27,7 +27,7 @@ from gsgen.contract.file_kinds.text_kinds import SPLAT_EXTENSION, decoded_text, 
 RECOGNITION_BYTES: Final = 1 << 16
 """The bytes at the beginning of a file that decide."""
 
-_ZIP, _GZIP = b"PK\x03\x04", b"\x1f\x8b"
+_ZIP_FILE_MAGIC, _GZIP_MAGIC = b"PK\x03\x04", b"\x1f\x8b"
 _MAX_NESTING: Final = 2
 _MAX_LISTED_MEMBERS: Final = 4
 
@@ -56,14 +56,14 @@ def kind_of(head: bytes, file: BinaryIO | None = None) -> FileKind | None:
     return _kind(head, file, 0)
 
 
-def _kind(head: bytes, file: BinaryIO | None, nesting: int) -> FileKind | None:
+def _kind(head: bytes, file: BinaryIO | None, nesting_depth: int) -> FileKind | None:
     if not head:
         hint = "Write or download it again: the program that wrote it may have failed."
         return FileKind(name="empty", title="an empty file (0 bytes)", hint=hint)
-    if head.startswith(_ZIP):
+    if head.startswith(_ZIP_FILE_MAGIC):
         return _zip_kind(head, file)
-    if head.startswith(_GZIP):
-        return _gzip_kind(head, nesting)
+    if head.startswith(_GZIP_MAGIC):
+        return _gzip_kind(head, nesting_depth)
     if head.startswith((b"ply\n", b"ply\r")):
         return ply_kind(head)
     if head.startswith(b"glTF"):
@@ -89,7 +89,7 @@ def _glb_kind(head: bytes) -> FileKind:
     return FileKind(name="glb", title="a GLB file without splats", hint=MESH_RENDER_HINT)
 
 
-def _gzip_kind(head: bytes, nesting: int) -> FileKind:
+def _gzip_kind(head: bytes, nesting_depth: int) -> FileKind:
     try:
         content = zlib.decompressobj(wbits=31).decompress(head, RECOGNITION_BYTES)
     except zlib.error:
@@ -97,8 +97,8 @@ def _gzip_kind(head: bytes, nesting: int) -> FileKind:
     if content.startswith(b"NGSP"):
         return FileKind(name="spz", title="an SPZ file of splats", hint=SPLATS)
     unpacked_kind = None
-    if content and nesting < _MAX_NESTING:
-        unpacked_kind = _kind(content, None, nesting + 1)
+    if content and nesting_depth < _MAX_NESTING:
+        unpacked_kind = _kind(content, None, nesting_depth + 1)
     title = f"a gzip file of {unpacked_kind.title}" if unpacked_kind else "a gzip file"
     return FileKind(name="gzip", title=title, hint=UNPACK)
 
@@ -118,31 +118,31 @@ def _zip_kind(head: bytes, file: BinaryIO | None) -> FileKind:
 def archive_kind(names: Sequence[str]) -> FileKind:
     """Return the kind of a ZIP archive from the names of its members."""
     files = [name for name in names if not name.endswith("/")]
-    bases = {PurePath(name).name.lower() for name in files}
+    base_names = {PurePath(name).name.lower() for name in files}
     suffixes = {PurePath(name).suffix.lower() for name in files}
-    if "data.pkl" in bases:
-        is_script = "constants.pkl" in bases
+    if "data.pkl" in base_names:
+        is_script = "constants.pkl" in base_names
         title = "a network in TorchScript" if is_script else "a checkpoint of torch"
         hint = "`gsgen export` takes checkpoints of the methods that `gsgen plugins` lists."
         return FileKind(name="torchscript" if is_script else "torch", title=title, hint=hint)
     if files and suffixes == {".npy"}:
         return FileKind(name="npz", title="an NPZ archive of NumPy arrays", hint=SPLATS)
-    if "tileset.json" in bases or "@3dtilesindex1@" in bases:
+    if "tileset.json" in base_names or "@3dtilesindex1@" in base_names:
         return FileKind(name="3tz", title="an archive of a tileset (3TZ)", hint=TILESET)
-    if "lod-meta.json" in bases:
+    if "lod-meta.json" in base_names:
         title = "a ZIP archive of a streamed SOG"
         return FileKind(name="streamed-sog", title=title, hint="Unpack it, and name lod-meta.json.")
-    if "meta.json" in bases and ".webp" in suffixes:
+    if "meta.json" in base_names and ".webp" in suffixes:
         return FileKind(name="sog", title="a SOG file of splats", hint=SPLATS)
     if files and PurePath(files[0]).suffix.lower() in (".usda", ".usdc", ".usd"):
         return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT_SPLATS_HINT)
-    if "[content_types].xml" in bases:
+    if "[content_types].xml" in base_names:
         return FileKind(
             name="office", title="an office document or 3MF model", hint=EXPORT_SPLATS_HINT
         )
-    shown = ", ".join(files[:_MAX_LISTED_MEMBERS]) + (
+    listed_names = ", ".join(files[:_MAX_LISTED_MEMBERS]) + (
         ", …" if len(files) > _MAX_LISTED_MEMBERS else ""
     )
     count = f"{len(files)} files: " if len(files) > _MAX_LISTED_MEMBERS else ""
-    title = f"a ZIP archive of {count}{shown}" if files else "a ZIP archive without files"
+    title = f"a ZIP archive of {count}{listed_names}" if files else "a ZIP archive without files"
     return FileKind(name="zip", title=title, hint=UNPACK)

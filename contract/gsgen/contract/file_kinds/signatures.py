@@ -13,21 +13,23 @@ from gsgen.contract.file_kinds.kind import (
     FileKind,
 )
 
-_OLD_TILES = (
+_OLD_TILES_HINT = (
     "Upgrade its tileset to 3D Tiles 1.1, whose contents are GLB: `3d-tiles-tools upgrade`."
 )
 _POINTS = "A point cloud: convert it to a PLY with x, y, z and colours."
 _PICTURE = "A picture cannot be opened as a scene: name the splats, mesh or model that it shows."
-_TORCH = "Load it with torch, and save it again: `torch.save(torch.load(OLD), NEW)`."
-_PICKLE = "Only checkpoints of `torch.save` are read: save the tensors with torch 1.6 or later."
-_TENSORS = "Save the tensors as a 3DGS PLY, or in a checkpoint of gsplat."
+_RESAVE_HINT = "Load it with torch, and save it again: `torch.save(torch.load(OLD), NEW)`."
+_PICKLE_HINT = (
+    "Only checkpoints of `torch.save` are read: save the tensors with torch 1.6 or later."
+)
+_SAVE_TENSORS_HINT = "Save the tensors as a 3DGS PLY, or in a checkpoint of gsplat."
 
 # Offset and bytes → name, title, hint; the first match counts.
-_SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
-    (0, b"b3dm", "b3dm", "a tile of 3D Tiles 1.0 with a mesh (b3dm)", _OLD_TILES),
-    (0, b"i3dm", "i3dm", "a tile of 3D Tiles 1.0 with instances (i3dm)", _OLD_TILES),
-    (0, b"pnts", "pnts", "a tile of 3D Tiles 1.0 with points (pnts)", _OLD_TILES),
-    (0, b"cmpt", "cmpt", "a composite tile of 3D Tiles 1.0 (cmpt)", _OLD_TILES),
+_FILE_SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
+    (0, b"b3dm", "b3dm", "a tile of 3D Tiles 1.0 with a mesh (b3dm)", _OLD_TILES_HINT),
+    (0, b"i3dm", "i3dm", "a tile of 3D Tiles 1.0 with instances (i3dm)", _OLD_TILES_HINT),
+    (0, b"pnts", "pnts", "a tile of 3D Tiles 1.0 with points (pnts)", _OLD_TILES_HINT),
+    (0, b"cmpt", "cmpt", "a composite tile of 3D Tiles 1.0 (cmpt)", _OLD_TILES_HINT),
     (0, b"subt", "subtree", "a subtree of an implicit tileset", "Name its tileset.json."),
     (0, b"Kaydara FBX Binary", "fbx", "an FBX file", EXPORT_SPLATS_HINT),
     (0, b"PXR-USDC", "usd", "a USD file (binary, usdc)", EXPORT_SPLATS_HINT),
@@ -67,19 +69,19 @@ _SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
     (257, b"ustar", "archive", "a tar archive", UNPACK),
     (0, b"PK\x05\x06", "zip", "an empty ZIP archive", DOWNLOAD_AGAIN_HINT),
     (0, b"\x93NUMPY", "npy", "a NumPy array", "Save named arrays with `np.savez`."),
-    (0, b"\x89HDF", "hdf5", "an HDF5 file", _TENSORS),
-    (0, b"GGUF", "gguf", "a file of weights (GGUF)", _TENSORS),
+    (0, b"\x89HDF", "hdf5", "an HDF5 file", _SAVE_TENSORS_HINT),
+    (0, b"GGUF", "gguf", "a file of weights (GGUF)", _SAVE_TENSORS_HINT),
     (0, b"PAR1", "parquet", "a Parquet table", ""),
     (0, b"SQLite format 3", "sqlite", "an SQLite database, such as COLMAP's", ""),
     (0, b"%PDF", "pdf", "a PDF document", ""),
     (0, b"\x7fELF", "program", "a program or library", ""),
     (4, b"TFL3", "tflite", "a TensorFlow Lite model", "Convert it to ONNX."),
     (0, b"NGSP", "spz", "an SPZ file of splats", SPLATS),
-    (0, b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", "old-torch", "a checkpoint of torch before 1.6", _TORCH),
-    (0, b"\x80\x02", "pickle", "a pickle", _PICKLE),
-    (0, b"\x80\x03", "pickle", "a pickle", _PICKLE),
-    (0, b"\x80\x04", "pickle", "a pickle", _PICKLE),
-    (0, b"\x80\x05", "pickle", "a pickle", _PICKLE),
+    (0, b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", "old-torch", "a checkpoint of torch before 1.6", _RESAVE_HINT),
+    (0, b"\x80\x02", "pickle", "a pickle", _PICKLE_HINT),
+    (0, b"\x80\x03", "pickle", "a pickle", _PICKLE_HINT),
+    (0, b"\x80\x04", "pickle", "a pickle", _PICKLE_HINT),
+    (0, b"\x80\x05", "pickle", "a pickle", _PICKLE_HINT),
 )  # fmt: skip
 
 # Tags of the fields of an ONNX ModelProto that may follow its IR version.
@@ -88,12 +90,14 @@ _MODEL_TAGS: Final = b"\x12\x1a\x22\x2a\x32\x3a\x42\x72"
 
 def kind_by_signature(head: bytes) -> FileKind | None:
     """Return the kind of file that certain first bytes identify; None if none does."""
-    for offset, signature, name, title, hint in _SIGNATURES:
+    for offset, signature, name, title, hint in _FILE_SIGNATURES:
         if head.startswith(signature, offset):
             return FileKind(name=name, title=title, hint=hint)
     # A length in 8 bytes, and a JSON object of at most 100 MB.
     if head[8:9] == b"{" and 0 < int.from_bytes(head[:8], "little") < 10**8:
-        return FileKind(name="safetensors", title="a file of weights (safetensors)", hint=_TENSORS)
+        return FileKind(
+            name="safetensors", title="a file of weights (safetensors)", hint=_SAVE_TENSORS_HINT
+        )
     if len(head) > 3 and head[0] == 8 and 0 < head[1] < 64 and head[2] in _MODEL_TAGS:
         return FileKind(name="onnx", title="an ONNX model", hint=MODEL)
     return None

@@ -19,14 +19,14 @@ from gsgen.contract.file_kinds.kind import (
 
 SPLAT_EXTENSION: Final = "KHR_gaussian_splatting"
 
-_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:]')
+_JSON_TOKEN_PATTERN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:]')
 _OBJ_LINE = re.compile(r"(v|vn|vt|f|o|g|s|mtllib|usemtl)\s+\S")
 _NUMBER_ROW_PATTERN = re.compile(r"[-+\d.eE]+(?:[\s,;]+[-+\d.eEnaifNAIF]+)+")
 _ERROR_KEYS = {"error", "errors", "message", "detail", "status", "statuscode", "code", "title"}
 _MAX_LISTED_KEYS = 6
 
 # Keys that an object has all of → name, title, hint; the first match counts.
-_OBJECTS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
+_JSON_OBJECT_KINDS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
     ({"asset", "root"}, "tileset", "a tileset of 3D Tiles", TILESET),
     ({"asset", "geometricError"}, "tileset", "a tileset of 3D Tiles", TILESET),
     ({"lodLevels"}, "streamed-sog", "the lod-meta.json of a streamed SOG", SPLATS),
@@ -99,8 +99,8 @@ def text_kind(text: str) -> FileKind:
         hint = "Write points as a PLY with x, y, z and colours."
         return FileKind(name="numbers", title="a table of numbers as text", hint=hint)
     first_line = start.partition("\n")[0].strip()
-    shown = first_line if len(first_line) <= 40 else first_line[:39] + "…"
-    return FileKind(name="text", title=f"text that begins {shown!r}")
+    shortened_line = first_line if len(first_line) <= 40 else first_line[:39] + "…"
+    return FileKind(name="text", title=f"text that begins {shortened_line!r}")
 
 
 def _markup_kind(start: str, low: str) -> FileKind:
@@ -134,7 +134,7 @@ def json_kind(text: str) -> FileKind:
             title = "the list of cameras of a 3DGS training (cameras.json)"
             return FileKind(name="cameras", title=title, hint=CAMERAS)
         return FileKind(name="json", title="a JSON list")
-    for needed, name, title, hint in _OBJECTS:
+    for needed, name, title, hint in _JSON_OBJECT_KINDS:
         if needed <= keys.keys():
             return FileKind(name=name, title=title, hint=hint)
     if _GLTF_KEYS & keys.keys() and ("asset" in keys or len(_GLTF_KEYS & keys.keys()) > 1):
@@ -162,7 +162,7 @@ def _top_level_keys(text: str) -> dict[str, str]:
     level = 2 if text.startswith("[") else 1
     keys: dict[str, str] = {}
     depth, last_string, key = 0, "", ""
-    for match in _TOKEN.finditer(text):
+    for match in _JSON_TOKEN_PATTERN.finditer(text):
         token = match[0]
         if token in "{[":
             depth += 1

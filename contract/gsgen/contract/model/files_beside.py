@@ -54,25 +54,25 @@ def find_contained_file(model: Path, location: str) -> Path:
     Raises:
         FileRefused: It is missing, lies elsewhere, is not a regular file, or has several names.
     """
-    found = _lookup(model, location)
-    if isinstance(found, Path):
-        return found
-    raise FileRefused(model, location, found)
+    lookup_outcome = _look_up_file(model, location)
+    if isinstance(lookup_outcome, Path):
+        return lookup_outcome
+    raise FileRefused(model, location, lookup_outcome)
 
 
-def _lookup(model: Path, location: str) -> Path | tuple[str, str]:
+def _look_up_file(model: Path, location: str) -> Path | tuple[str, str]:
     """Return the real path of a file that a model names, or its fault and the expected file."""
     if not location or "\0" in location or _REFUSED_LOCATION_CHARACTER in location:
         return "no file name", _FILE_BESIDE_MODEL
     if _does_leave_folder(location):
         return "leads out of the model's folder", "a relative path below it"
-    named = model.parent.resolve() / model.name
-    real = named.resolve()
-    base = named if os.path.lexists(named.parent / location) else real
+    named_path = model.parent.resolve() / model.name
+    resolved_path = named_path.resolve()
+    base = named_path if os.path.lexists(named_path.parent / location) else resolved_path
     try:
         path = (base.parent / location).resolve()
         is_below = path.is_relative_to(base.parent)
-        is_beside_real_model = base != real and path.parent == real.parent
+        is_beside_real_model = base != resolved_path and path.parent == resolved_path.parent
         if not (is_below or is_beside_real_model):
             return f"is a link to {path}", "a file below the model's folder"
         status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
@@ -101,7 +101,7 @@ def loaded_files(file: ModelFile) -> list[Path]:
     These are the model and its external weights, without those that must not be read.
     """
     locations = dict.fromkeys(ref.location for ref in file.external)
-    lookup_results = [_lookup(file.loading_path, location) for location in locations]
+    lookup_results = [_look_up_file(file.loading_path, location) for location in locations]
     return [
         file.loading_path.resolve(),
         *(path for path in lookup_results if isinstance(path, Path)),
@@ -122,7 +122,7 @@ def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
 
 
 def _weight_fault(model: Path, ref: ExternalRef, tensor: TensorProto) -> tuple[str, str] | None:
-    lookup_result = _lookup(model, ref.location)
+    lookup_result = _look_up_file(model, ref.location)
     if not isinstance(lookup_result, Path):
         weight = f" (weight {ref.tensor!r})" if ref.location else ""
         return f"{lookup_result[0]}{weight}", lookup_result[1]

@@ -39,9 +39,9 @@ class LoadFailure:
 def explain_load_failure(message: str) -> LoadFailure:
     """Parse an error message of ONNX Runtime's loader; an unknown kind keeps its text."""
     text = " ".join(message.split())
-    for pattern, explain in _KINDS:
+    for pattern, explain_failure in _KINDS:
         if match := pattern.search(text):
-            return explain(match)
+            return explain_failure(match)
     return LoadFailure(_PREFIX.sub("", text)[:_MAX_LENGTH].strip() or "unknown error")
 
 
@@ -101,7 +101,7 @@ def _unknown_node(match: re.Match[str]) -> LoadFailure:
     )
 
 
-def _mixed_types(match: re.Match[str]) -> LoadFailure:
+def _mixed_types_failure(match: re.Match[str]) -> LoadFailure:
     operator, first, second, node = match.groups()
     return LoadFailure(
         f"{operator} (node {node!r}) gets {first} and {second}, expected one type",
@@ -133,7 +133,7 @@ def _shapes(match: re.Match[str]) -> LoadFailure:
     )
 
 
-def _dangling(match: re.Match[str]) -> LoadFailure:
+def _dangling_input_failure(match: re.Match[str]) -> LoadFailure:
     return LoadFailure(
         f"{match[1]!r} is read by a node, but nothing computes it", "Export the model again."
     )
@@ -163,7 +163,7 @@ _KINDS: Final[tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], LoadFailure
         re.compile(
             r"of Optype \((\w+)\) bound to different types \((\S+) and (\S+?\))\)? in node \((.*?)\)"
         ),
-        _mixed_types,
+        _mixed_types_failure,
     ),
     (
         re.compile(
@@ -179,7 +179,7 @@ _KINDS: Final[tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], LoadFailure
         _input_type,
     ),
     (re.compile(r"Node \((.*?)\) Op \((\w+)\) \[\w+\] (.+)$"), _shapes),
-    (re.compile(r"Node input '(.*?)' is not a graph input"), _dangling),
+    (re.compile(r"Node input '(.*?)' is not a graph input"), _dangling_input_failure),
     (re.compile(r"graph is not acyclic"), _cycle),
     (re.compile(r"protobuf parsing failed|ModelProto does not have a graph"), _not_onnx_error),
 )  # fmt: skip

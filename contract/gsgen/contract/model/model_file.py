@@ -63,7 +63,7 @@ NEUTRAL_KEY = "gaussian-generator.manifest"
 _MANIFEST_KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
 _METADATA_FIELD = 14  # ModelProto.metadata_props
 _MAX_LENGTH = (1 << 63) - 1
-_MAX_DIGITS = 100  # Python refuses to read numbers of thousands
+_MAX_DIGIT_COUNT = 100  # Python refuses to read numbers of thousands
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +116,11 @@ class ModelFile:
 
         It is ``path``, or the real file if ``path`` is a link without the weights beside it.
         """
-        named = self.path.parent.resolve() / self.path.name
-        has_all = all(os.path.lexists(named.parent / ref.location) for ref in self.external)
-        return named if has_all else named.resolve()
+        named_path = self.path.parent.resolve() / self.path.name
+        has_all_external_files = all(
+            os.path.lexists(named_path.parent / ref.location) for ref in self.external
+        )
+        return named_path if has_all_external_files else named_path.resolve()
 
     @property
     def weight_bytes(self) -> int:
@@ -148,11 +150,11 @@ def _covered_bytes(folder: Path, location: str, ranges: list[tuple[int, int]]) -
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
     except (OSError, ValueError):  # a rule reports it
         return 0
-    total = covered_end = 0
+    total = covered_byte_end = 0
     for start, end in sorted(ranges):
-        start, end = max(start, covered_end), min(end, size)
+        start, end = max(start, covered_byte_end), min(end, size)
         total += max(0, end - start)
-        covered_end = max(covered_end, end)
+        covered_byte_end = max(covered_byte_end, end)
     return total
 
 
@@ -174,7 +176,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     _check_texts(path, proto, parts)
     detached_weights = list(_detach_external_weights(parts))
     external = tuple(ref for ref, _ in detached_weights)
-    whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse, parts)))
+    whole = not (stripped_model.stripped_bytes or external or any(map(_has_sparse_tensor, parts)))
     return ModelFile(
         path=path,
         size=size,
@@ -225,12 +227,12 @@ def _parse(path: Path, data: bytes) -> ModelProto:
 
 
 def _check_texts(path: Path, proto: ModelProto, parts: list[Body]) -> None:
-    for text in _texts(proto, parts):
+    for text in _texts_of_model(proto, parts):
         if isinstance(text, bytes):  # protobuf returns bytes that are not valid UTF-8
             raise _not_onnx_error(path, f"has a name that is not valid UTF-8 ({text[:32]!r})")
 
 
-def _has_sparse(body: Body) -> bool:
+def _has_sparse_tensor(body: Body) -> bool:
     return isinstance(body, GraphProto) and bool(body.sparse_initializer)
 
 
@@ -279,14 +281,14 @@ def parse_length(text: str | None) -> int | None:
     """Parse a non-negative decimal number; return None if ``text`` is None or not a number."""
     if text is None or not (text.isascii() and text.isdigit()):
         return None
-    return min(int(text), _MAX_LENGTH) if len(text) <= _MAX_DIGITS else _MAX_LENGTH
+    return min(int(text), _MAX_LENGTH) if len(text) <= _MAX_DIGIT_COUNT else _MAX_LENGTH
 
 
 def bodies(proto: ModelProto) -> Iterator[Body]:
     """Yield every graph of a model: the main graph, function bodies, and subgraphs of nodes."""
     queue: list[Body] = [proto.graph, *proto.functions]
-    for training in proto.training_info:
-        queue += [training.initialization, training.algorithm]
+    for training_info in proto.training_info:
+        queue += [training_info.initialization, training_info.algorithm]
     while queue:
         body = queue.pop()
         yield body
@@ -333,7 +335,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
         yield from (sparse.values, sparse.indices)
 
 
-def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
+def _texts_of_model(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
     """Yield every name and string of an ONNX model that validation rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)

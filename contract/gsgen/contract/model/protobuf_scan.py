@@ -90,7 +90,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
     """
     offset = start
     while offset < end:
-        tag_at = offset
+        tag_offset = offset
         tag, offset = varint(data, offset, end)
         number, wire_type = tag >> 3, tag & 7
         if wire_type == BYTES:
@@ -101,14 +101,17 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
         elif wire_type in (FIXED32, FIXED64):
             end_offset = offset + (4 if wire_type == FIXED32 else 8)
         else:
-            raise WireFault(tag_at, f"protobuf wire type {wire_type}, which ONNX does not use")
+            raise WireFault(tag_offset, f"protobuf wire type {wire_type}, which ONNX does not use")
         if number == 0:
-            raise WireFault(tag_at, "protobuf field number 0, expected 1 or more")
+            raise WireFault(tag_offset, "protobuf field number 0, expected 1 or more")
         if end_offset > end:
             raise WireFault(
-                tag_at, f"field {number} needs {end_offset - end} more bytes than the message has"
+                tag_offset,
+                f"field {number} needs {end_offset - end} more bytes than the message has",
             )
-        yield Field(number=number, wire_type=wire_type, start=tag_at, value=offset, end=end_offset)
+        yield Field(
+            number=number, wire_type=wire_type, start=tag_offset, value=offset, end=end_offset
+        )
         offset = end_offset
 
 

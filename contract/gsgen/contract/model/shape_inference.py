@@ -29,7 +29,7 @@ _INFERENCE_ERRORS = (
 _MAX_EXPANDED_NODES = 20_000
 _MAX_MESSAGE_LENGTH = 4096
 # Limits of the child. If it exceeds them, the result without propagation is used.
-_MAX_SECONDS, _MAX_MEMORY = 5.0, 1 << 30
+_MAX_SECONDS, _MAX_MEMORY_BYTES = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
@@ -139,7 +139,7 @@ def _propagate_in_subprocess(proto: ModelProto) -> ModelProto | None:
 def _run_child_process() -> int:
     from gsgen.contract.process.limits import limit_memory
 
-    limit_memory(_MAX_MEMORY)
+    limit_memory(_MAX_MEMORY_BYTES)
     proto = ModelProto.FromString(sys.stdin.buffer.read())
     try:
         inferred = _propagate_data(proto, strict=False)

@@ -46,7 +46,7 @@ _JOINING_OPERATORS = frozenset({"Concat", "Where"})
 _INDEX_OUTPUTS = {"ArgMax": (0, 0), "ArgMin": (0, 0), "TopK": (1, -1)}
 
 
-def _products(a: Interval, b: Interval) -> Interval:
+def _product_interval(a: Interval, b: Interval) -> Interval:
     corners = [x * y for x in a for y in b]
     return min(corners), max(corners)
 
@@ -54,7 +54,7 @@ def _products(a: Interval, b: Interval) -> Interval:
 def _quotient_interval(a: Interval, b: Interval) -> Interval:
     if b[0] <= 0 <= b[1]:
         return -math.inf, math.inf
-    return _products(a, (1 / b[1], 1 / b[0]))
+    return _product_interval(a, (1 / b[1], 1 / b[0]))
 
 
 def _remainder_interval(_: Interval, b: Interval) -> Interval:
@@ -66,7 +66,7 @@ def _remainder_interval(_: Interval, b: Interval) -> Interval:
 _BINARY_INTERVALS: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "Sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
-    "Mul": _products,
+    "Mul": _product_interval,
     "Div": _quotient_interval,
     "Min": lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     "Max": lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
@@ -75,15 +75,15 @@ _BINARY_INTERVALS: dict[str, Callable[[Interval, Interval], Interval]] = {
 _UNARY_INTERVALS: dict[str, Callable[[Interval], Interval]] = {
     "Neg": lambda a: (-a[1], -a[0]),
     "Abs": lambda a: (max(0.0, a[0], -a[1]), max(abs(a[0]), abs(a[1]))),
-    "Floor": lambda a: (_round_finite(a[0], math.floor), _round_finite(a[1], math.floor)),
-    "Ceil": lambda a: (_round_finite(a[0], math.ceil), _round_finite(a[1], math.ceil)),
-    "Round": lambda a: (_round_finite(a[0], math.floor), _round_finite(a[1], math.ceil)),
+    "Floor": lambda a: (_round_if_finite(a[0], math.floor), _round_if_finite(a[1], math.floor)),
+    "Ceil": lambda a: (_round_if_finite(a[0], math.ceil), _round_if_finite(a[1], math.ceil)),
+    "Round": lambda a: (_round_if_finite(a[0], math.floor), _round_if_finite(a[1], math.ceil)),
     "Relu": lambda a: (max(0.0, a[0]), max(0.0, a[1])),
     "Cast": lambda a: a,
 }
 
 
-def _round_finite(value: float, rounded: Callable[[float], int]) -> float:
+def _round_if_finite(value: float, rounded: Callable[[float], int]) -> float:
     return float(rounded(value)) if math.isfinite(value) else value
 
 

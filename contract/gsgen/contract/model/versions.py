@@ -25,13 +25,13 @@ def lowest_ir_version(proto: ModelProto, most: int) -> int:
     """
     newest_type = max((tensor.data_type for tensor in proto.graph.initializer), default=0)
     needed = [
-        *_versions_up_to(_OPSET_IR_VERSIONS, declared_opset(proto) or 0),
-        *_versions_up_to(_TYPE_IR_VERSIONS, newest_type),
+        *_ir_versions_up_to(_OPSET_IR_VERSIONS, declared_opset(proto) or 0),
+        *_ir_versions_up_to(_TYPE_IR_VERSIONS, newest_type),
     ]
     return max(needed, default=min(_COMMON_IR_VERSION, most))
 
 
-def _versions_up_to(ir_versions: dict[int, int], number: int) -> list[int]:
+def _ir_versions_up_to(ir_versions: dict[int, int], number: int) -> list[int]:
     return [version for first, version in ir_versions.items() if number >= first]
 
 
@@ -48,10 +48,10 @@ def operators_changed_since(proto: ModelProto, opset: int) -> tuple[str, ...]:
         if node.domain not in MAIN_DOMAIN:
             continue
         try:
-            since = onnx.defs.get_schema(node.op_type, declared, "").since_version
+            schema_since_version = onnx.defs.get_schema(node.op_type, declared, "").since_version
         except onnx.defs.SchemaError:
-            since = declared
-        if since > opset or declared > onnx.defs.onnx_opset_version():
+            schema_since_version = declared
+        if schema_since_version > opset or declared > onnx.defs.onnx_opset_version():
             changed_operators[node.op_type] = None
     return tuple(changed_operators)
 

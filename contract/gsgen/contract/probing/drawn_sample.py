@@ -38,7 +38,7 @@ MAX_PLANAR_SCATTER, MIN_LINEAR_SCATTER = 0.08, 0.7
 # Up to this number of rows, all are compared with each other.
 _MAX_WHOLE_ROWS = 1024
 # A larger scene is sampled in this many patches of this many rows; the inner ones are measured.
-_PATCH_COUNT, _PATCH_ROWS, _INNER_ROWS = 8, 256, 64
+_PATCH_COUNT, _PATCH_ROWS, _INNER_ROW_COUNT = 8, 256, 64
 # Rows that are taken evenly from the whole scene for statistics without neighbours.
 _MAX_EVEN_ROWS = 1 << 13
 _NEIGHBOUR_COUNT = 6
@@ -185,7 +185,7 @@ def _position_patches(
         square = np.square(position - position[middle_row]).sum(axis=1)
         nearest_indices = np.argpartition(square, _PATCH_ROWS)[:_PATCH_ROWS]
         patches.append(
-            (nearest_indices[np.argsort(square[nearest_indices], kind="stable")], _INNER_ROWS)
+            (nearest_indices[np.argsort(square[nearest_indices], kind="stable")], _INNER_ROW_COUNT)
         )
     return patches
 

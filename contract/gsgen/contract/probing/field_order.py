@@ -35,7 +35,7 @@ _COVARIANCE_LAYOUTS = {
     "zz yz yy xz xy xx (reversed)": (5, 4, 3, 2, 1, 0),
 }
 # The orders of the three parts of a row, and the first columns of x y z, opacity, the covariance.
-_PART_ORDERS = {
+_COLUMNS_BY_PART_ORDER = {
     "{}": (0, 3, 4),
     "opacity first, then x y z and {}": (1, 0, 4),
     "x y z, {}, opacity last": (0, 9, 3),
@@ -44,14 +44,14 @@ _PART_ORDERS = {
     "opacity first, then {} and x y z": (7, 0, 1),
 }
 # The columns that hold x y z, opacity, xx xy xz yy yz zz in other layouts, the likelier ones first.
-_PERMUTATIONS = {
+_PERMUTATION_BY_FIELD_ORDER = {
     parts.format(name): (
         *range(position, position + 3),
         opacity,
         *(first + column for column in column_offsets),
     )
     for name, column_offsets in _COVARIANCE_LAYOUTS.items()
-    for parts, (position, opacity, first) in _PART_ORDERS.items()
+    for parts, (position, opacity, first) in _COLUMNS_BY_PART_ORDER.items()
     if (name, position, opacity) != ("the covariance", 0, 3)
 }
 
@@ -108,7 +108,7 @@ def _candidate_layouts(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
     """Yield alternative column layouts, likeliest first, each with the mask of invalid rows."""
-    for name, columns in _PERMUTATIONS.items():
+    for name, columns in _PERMUTATION_BY_FIELD_ORDER.items():
         yield name, _convention_misfit_mask(rows[:, columns], bounds)
     yield from _quaternion_layouts(rows).items()
     if planes is not None and len(_without_empty_rows(planes)):

@@ -147,8 +147,8 @@ def _affordable_variants(subject: InspectedModel, values: int) -> int:
     """Return the number of variants of each role whose outputs fit the budget, but at least one."""
     manifest = subject.manifest
     roles = len({entry.role for entry in manifest.inputs}) if manifest else 0
-    affordable = _OUTPUT_BUDGET // max(_frame_bytes(subject), 1) - values
-    return max(1, min(_MAX_VARIANTS, affordable // max(roles, 1)))
+    affordable_probe_count = _OUTPUT_BUDGET // max(_frame_bytes(subject), 1) - values
+    return max(1, min(_MAX_VARIANTS, affordable_probe_count // max(roles, 1)))
 
 
 def _frame_bytes(subject: InspectedModel) -> int:

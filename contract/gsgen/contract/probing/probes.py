@@ -34,7 +34,7 @@ INPUT_PREFIX = "input "
 
 # Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
 # depends on either must show it.
-_VIEWPORTS = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
+_VIEWPORT_SIZES = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
 _FOV_RANGE = (np.deg2rad(50.0), np.deg2rad(70.0))
 _NEAR_PLANE, _FAR_PLANE = 0.01, 1000.0
 # Bounds beyond this count as unknown; its square is still a finite float32.
@@ -163,12 +163,12 @@ def _sample_input(
     if spec.role == "view":
         return as_tensor(_camera(manifest, range_fraction), order)
     if spec.role == "projection":
-        return as_tensor(_lens(range_fraction), order)
+        return as_tensor(_projection_at_fraction(range_fraction), order)
     if spec.role == "camera_position":
         view = _camera(manifest, range_fraction)
         return np.asarray(-view[:3, :3].T @ view[:3, 3])
     if spec.role == "viewport":
-        return np.asarray(_viewport(range_fraction))
+        return np.asarray(_viewport_at_fraction(range_fraction))
     if spec.role == "camera_history" and len(shape) == 2 and shape[1] in STATE_SIZES.values():
         return _random_camera_history(spec.range or (-1.0, 1.0), shape[0], shape[1], rng)
     low, high = spec.range or _default_range(spec)
@@ -224,14 +224,14 @@ def _default_range(spec: Input) -> tuple[float, float]:
     return default_ranges.get(spec.role, (0.0, 1.0))
 
 
-def _viewport(range_fraction: float) -> tuple[float, float]:
-    return _VIEWPORTS[round(range_fraction * (len(_VIEWPORTS) - 1))]
+def _viewport_at_fraction(range_fraction: float) -> tuple[float, float]:
+    return _VIEWPORT_SIZES[round(range_fraction * (len(_VIEWPORT_SIZES) - 1))]
 
 
-def _lens(range_fraction: float) -> Float[np.ndarray, "4 4"]:
+def _projection_at_fraction(range_fraction: float) -> Float[np.ndarray, "4 4"]:
     """Return the projection matrix of a test camera on a spiral around the scene."""
     min_fov, max_fov = _FOV_RANGE
-    width, height = _viewport(range_fraction)
+    width, height = _viewport_at_fraction(range_fraction)
     return perspective(
         min_fov + (max_fov - min_fov) * range_fraction, width / height, _NEAR_PLANE, _FAR_PLANE
     )

@@ -118,9 +118,9 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
                 if placement is not None and center is not None:
                     _place_camera(inputs, placement, center)
                     facts["center"] = center.tolist()
-                started = time.perf_counter()
+                start_seconds = time.perf_counter()
                 outputs = session.run(job["outputs"], inputs)
-                seconds = time.perf_counter() - started
+                seconds = time.perf_counter() - start_seconds
                 by_name = dict(zip(job["outputs"], outputs, strict=True))
                 if probe and center is None and job["rows"] in by_name:
                     center = _mean_drawn_center(by_name[job["rows"]])
@@ -159,10 +159,10 @@ def _session(model: str, emit: EmitMessage, *, optimise: bool = True) -> Any:
     if not optimise:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
-    started = time.perf_counter()
+    start_seconds = time.perf_counter()
     source = model_source(model)
     session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
-    emit("loaded", seconds=time.perf_counter() - started)
+    emit("loaded", seconds=time.perf_counter() - start_seconds)
     return session
 
 
@@ -265,7 +265,7 @@ def keep_outputs(
         known[key] = len(known)
         files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
         arrays = {n: subsample_rows(outputs[n]) if thin else outputs[n] for n in files}
-        _require_room(folder, sum(array.nbytes for array in arrays.values()), disk)
+        _require_disk_space(folder, sum(array.nbytes for array in arrays.values()), disk)
         for name, file in files.items():
             np.save(folder / file, arrays[name], allow_pickle=False)
         not_finite = [name for name, value in outputs.items() if thin and not _is_finite(value)]
@@ -274,7 +274,7 @@ def keep_outputs(
     return known[key]
 
 
-def _require_room(folder: Path, size: int, disk: int) -> None:
+def _require_disk_space(folder: Path, size: int, disk: int) -> None:
     """Raise if a folder's files and ``size`` more bytes exceed ``disk`` bytes."""
     with os.scandir(folder) as entries:
         size += sum(entry.stat().st_size for entry in entries)

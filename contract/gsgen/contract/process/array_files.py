@@ -29,13 +29,13 @@ ARRAY_MAGIC: Final = b"\x93NUMPY"
 
 _ZIP_MAGIC = b"PK"
 _SUFFIX = ".npy"
-_MAX_HEADER = 1 << 16  # bytes; plain arrays need 128
+_MAX_HEADER_LENGTH = 1 << 16  # bytes; plain arrays need 128
 _MIN_FREE_BYTES = 32 << 20
 _NUMBER_BYTES = 8  # readers convert to float64
 _KINDS = "biufcSU"  # numbers and texts
 _MAX_SIZE = 1 << 40
-_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes
-_ENCRYPTED = 1
+_COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes
+_ENCRYPTION_FLAG = 1
 _MAX_MESSAGE_LENGTH = 200
 
 
@@ -100,7 +100,7 @@ def _read_archive(
         if name not in entries:
             continue
         entry = entries[name]
-        if entry.flag_bits & _ENCRYPTED or entry.compress_type not in _COMPRESSIONS:
+        if entry.flag_bits & _ENCRYPTION_FLAG or entry.compress_type not in _COMPRESSION_METHODS:
             raise ValueError(f"array {name!r:.80} is encrypted or compressed in an unknown way")
         with archive.open(entry) as stream:
             arrays[name] = read_array(stream, entry.file_size, limit)
@@ -119,7 +119,7 @@ def read_array(stream: IO[bytes], size: int, limit: int | None = None) -> np.nda
     Raises:
         ValueError: The array is damaged or too large, or holds Python objects.
     """
-    start = BytesIO(stream.read(_MAX_HEADER))
+    start = BytesIO(stream.read(_MAX_HEADER_LENGTH))
     shape, dtype = read_array_header(start)
     if dtype.kind not in _KINDS:
         raise ValueError(f"the array holds {dtype}, expected numbers")

@@ -101,11 +101,20 @@ def _limit_files(file_bytes: int) -> None:
 def _program_folders() -> list[Path]:
     """Return files of the system, Python and its packages, but no folder that holds the home."""
     packages = [Path(path) for path in sys.modules["gsgen"].__path__]
-    python = [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path, site.getusersitepackages()]
+    python_folders = [
+        sys.prefix,
+        sys.base_prefix,
+        sys.exec_prefix,
+        *sys.path,
+        site.getusersitepackages(),
+    ]
     libraries = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    folders = [*map(Path, (*_SYSTEM_FILES, *filter(None, (*python, *libraries)))), *packages]
+    folders = [
+        *map(Path, (*_SYSTEM_FILES, *filter(None, (*python_folders, *libraries)))),
+        *packages,
+    ]
     try:
-        home = Path.home().resolve()
+        home_folder = Path.home().resolve()
     except RuntimeError:  # a user without a home, as in containers
         return folders
-    return [folder for folder in folders if not home.is_relative_to(folder.resolve())]
+    return [folder for folder in folders if not home_folder.is_relative_to(folder.resolve())]

@@ -46,7 +46,7 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     try:
         yield draft
     finally:
-        _remove(draft)
+        _remove_draft(draft)
 
 
 def sweep_drafts(folder: Path) -> int:
@@ -55,18 +55,18 @@ def sweep_drafts(folder: Path) -> int:
     Returns:
         How many were removed.
     """
-    removed = 0
+    removed_draft_count = 0
     with suppress(OSError), os.scandir(folder) as entries:
         stale_names = [entry.name for entry in entries if _NAME_PATTERN.fullmatch(entry.name)]
         for name in stale_names:
-            removed += _remove_ownerless_draft(folder / name)
-    return removed
+            removed_draft_count += _remove_ownerless_draft(folder / name)
+    return removed_draft_count
 
 
 def remove_own_drafts() -> None:
     """Remove all temporary folders of this process: for a process that ends at once."""
     for draft in list(_own_drafts):
-        _remove(draft)
+        _remove_draft(draft)
 
 
 def _make_locked_draft(holding_folder: Path, prefix: str) -> Path:
@@ -81,7 +81,7 @@ def _make_locked_draft(holding_folder: Path, prefix: str) -> Path:
         return draft
 
 
-def _remove(draft: Path) -> None:
+def _remove_draft(draft: Path) -> None:
     shutil.rmtree(draft, ignore_errors=True)  # on Windows, a file that is still mapped stays there
     descriptor = _own_drafts.pop(draft, None)
     if descriptor is not None:

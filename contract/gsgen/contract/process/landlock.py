@@ -31,7 +31,7 @@ _FILE_RIGHTS_BY_VERSION: Final = {
     3: (1 << 15) - 1,
     5: (1 << 16) - 1,
 }
-_NETWORK: Final = 0b11  # bind and connect of TCP, from version 4 on
+_NETWORK_ACCESS_RIGHTS: Final = 0b11  # bind and connect of TCP, from version 4 on
 _SOCKET_AND_SIGNAL_SCOPES: Final = 0b11  # abstract Unix sockets and signals, from version 6 on
 
 
@@ -63,7 +63,7 @@ def restrict_files(
         for v in sorted(_FILE_RIGHTS_BY_VERSION, reverse=True)
         if v <= kernel_version
     )
-    fields = [handled_rights, _NETWORK, _SOCKET_AND_SIGNAL_SCOPES]
+    fields = [handled_rights, _NETWORK_ACCESS_RIGHTS, _SOCKET_AND_SIGNAL_SCOPES]
     field_count = 3 if kernel_version >= 6 else 2 if kernel_version >= 4 else 1
     attributes = struct.pack(f"={field_count}Q", *fields[:field_count])
     ruleset = _call(_CREATE_RULESET_SYSCALL, attributes, len(attributes), 0)

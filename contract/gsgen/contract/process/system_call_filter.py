@@ -17,7 +17,7 @@ from typing import Final
 
 from gsgen.contract.process.landlock import forbid_new_privileges
 
-_INSTRUCTION: Final = struct.Struct("=HBBI")
+_INSTRUCTION_STRUCT: Final = struct.Struct("=HBBI")
 (
     _LOAD_INSTRUCTION,
     _JUMP_IF_EQUAL,
@@ -27,7 +27,7 @@ _INSTRUCTION: Final = struct.Struct("=HBBI")
 ) = 0x20, 0x15, 0x35, 0x45, 0x06
 _ALLOW_SYSTEM_CALL, _KILL_PROCESS, _FAIL_SYSTEM_CALL = 0x7FFF0000, 0x80000000, 0x00050000
 _NUMBER_OFFSET, _ARCHITECTURE_OFFSET, _FIRST_ARGUMENT_OFFSET = 0, 4, 16
-_SET_FILTER, _ALL_THREADS, _QUERY_ACTION = 1, 1, 2
+_SET_FILTER_OPERATION, _ALL_THREADS_FLAG, _QUERY_ACTION = 1, 1, 2
 _X32_CALL_BIT: Final = 0x40000000  # numbers of x86-64's second calling convention, x32
 _CLONE_THREAD: Final = 0x10000
 
@@ -55,7 +55,7 @@ _SYSTEM_CALL_NUMBERS: Final[dict[str, dict[str, int]]] = {
         "kexec_load": 104,
     },
 }  # fmt: skip
-_CONDITIONAL: Final = frozenset({"seccomp", "clone", "clone3", "kill"})
+_CONDITIONAL_SYSTEM_CALLS: Final = frozenset({"seccomp", "clone", "clone3", "kill"})
 
 
 def is_available() -> bool:
@@ -76,14 +76,14 @@ def forbid_system_calls() -> None:
     Raises:
         OSError: The kernel refuses it.
     """
-    program = b"".join(_filter_program(platform.machine()))
+    filter_program = b"".join(_filter_program(platform.machine()))
     forbid_new_privileges()
-    count = len(program) // _INSTRUCTION.size
-    code = ctypes.create_string_buffer(program, len(program))
+    count = len(filter_program) // _INSTRUCTION_STRUCT.size
+    code = ctypes.create_string_buffer(filter_program, len(filter_program))
     header = struct.pack("@HP", count, ctypes.addressof(code))
     libc = ctypes.CDLL(None, use_errno=True)
     number = _SYSTEM_CALL_NUMBERS[platform.machine()]["seccomp"]
-    result = libc.syscall(number, _SET_FILTER, _ALL_THREADS, header)
+    result = libc.syscall(number, _SET_FILTER_OPERATION, _ALL_THREADS_FLAG, header)
     if result != 0:  # a positive number is a thread that has another filter
         raise OSError(ctypes.get_errno() or errno.EACCES, "the filter of system calls is refused")
 
@@ -91,10 +91,12 @@ def forbid_system_calls() -> None:
 def _filter_program(machine: str) -> list[bytes]:
     """Return the instructions of the filter for an architecture."""
     numbers = _SYSTEM_CALL_NUMBERS[machine]
-    forbidden = [number for name, number in numbers.items() if name not in _CONDITIONAL]
+    forbidden_numbers = [
+        number for name, number in numbers.items() if name not in _CONDITIONAL_SYSTEM_CALLS
+    ]
     permission = _FAIL_SYSTEM_CALL | errno.EPERM
     # A jump counts instructions from the next one: the last of each block skips nothing if taken.
-    program = [
+    filter_program = [
         (_LOAD_INSTRUCTION, 0, 0, _ARCHITECTURE_OFFSET),
         (_JUMP_IF_EQUAL, 1, 0, _ARCHITECTURES[machine]),
         (_RETURN_INSTRUCTION, 0, 0, _KILL_PROCESS),
@@ -117,7 +119,7 @@ def _filter_program(machine: str) -> list[bytes]:
         (_RETURN_INSTRUCTION, 0, 0, permission),
         *(
             instruction
-            for number in forbidden
+            for number in forbidden_numbers
             for instruction in (
                 (_JUMP_IF_EQUAL, 0, 1, number),
                 (_RETURN_INSTRUCTION, 0, 0, permission),
@@ -125,4 +127,4 @@ def _filter_program(machine: str) -> list[bytes]:
         ),
         (_RETURN_INSTRUCTION, 0, 0, _ALLOW_SYSTEM_CALL),
     ]
-    return [_INSTRUCTION.pack(*instruction) for instruction in program]
+    return [_INSTRUCTION_STRUCT.pack(*instruction) for instruction in filter_program]

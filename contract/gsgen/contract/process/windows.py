@@ -11,7 +11,7 @@ from typing import Any, Final
 _EXTENDED_LIMIT_INFORMATION: Final = 9
 _LIMIT_PROCESS_MEMORY: Final = 0x100
 _DIE_ON_UNHANDLED_EXCEPTION: Final = 0x400  # instead of a dialog that waits for a click
-_SYNCHRONIZE: Final = 0x00100000
+_SYNCHRONIZE_ACCESS_RIGHT: Final = 0x00100000
 _INFINITE_TIMEOUT: Final = 0xFFFFFFFF
 
 
@@ -66,7 +66,7 @@ def limit_commit(limit: int) -> None:
 def wait_for_exit(process_id: int) -> None:
     """Wait until a process ends; return at once if it cannot be opened, since it has ended."""
     kernel32 = _kernel32()
-    handle = kernel32.OpenProcess(_SYNCHRONIZE, False, process_id)
+    handle = kernel32.OpenProcess(_SYNCHRONIZE_ACCESS_RIGHT, False, process_id)
     if handle:
         kernel32.WaitForSingleObject(ctypes.c_void_p(handle), _INFINITE_TIMEOUT)
 

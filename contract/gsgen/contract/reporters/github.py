@@ -35,14 +35,14 @@ def to_github(entries: Sequence[Entry]) -> str:
             )
         for finding in entry.findings:
             if finding.counts:
-                lines.append(_annotation(entry.path, finding))
+                lines.append(_workflow_annotation(entry.path, finding))
         lines.append(without_commands(f"gsgen: {entry.path}: {verdict_line(entry)}"))
     return "\n".join(
         [*lines, without_commands(summary_line(entries))] if len(entries) > 1 else lines
     )
 
 
-def _annotation(path: str, finding: Finding) -> str:
+def _workflow_annotation(path: str, finding: Finding) -> str:
     command = _COMMAND_OF_SEVERITY[finding.severity]
     if finding.certainty == "possible" and command == "error":
         command = "warning"  # a possible finding does not fail the model
@@ -60,5 +60,5 @@ def _escape_data(text: str) -> str:
 
 
 def _escape_property(text: str) -> str:
-    escaped = without_commands(text).replace("%", "%25")
-    return escaped.replace(":", "%3A").replace(",", "%2C")
+    escaped_text = without_commands(text).replace("%", "%25")
+    return escaped_text.replace(":", "%3A").replace(",", "%2C")

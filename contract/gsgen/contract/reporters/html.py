@@ -26,7 +26,7 @@ def to_html(entries: Sequence[Entry]) -> str:
     style = files("gsgen.contract.reporters").joinpath("report.css").read_text("utf-8")
     title = summary_line(entries) if len(entries) != 1 else entries[0].path
     sections = "\n".join(_report_section(entry, number) for number, entry in enumerate(entries, 1))
-    index = _index(entries) if len(entries) > 1 else ""
+    index = _index_html(entries) if len(entries) > 1 else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -46,7 +46,7 @@ def to_html(entries: Sequence[Entry]) -> str:
 </html>"""
 
 
-def _index(entries: Sequence[Entry]) -> str:
+def _index_html(entries: Sequence[Entry]) -> str:
     items = "".join(
         f'<li><a href="#model-{number}">{for_html(entry.path)}</a> {_verdict(entry)}</li>'
         for number, entry in enumerate(entries, 1)
@@ -87,7 +87,9 @@ def _facts_html(report: Report) -> str:
     size = format_bytes(report.size)
     if report.external_size:
         size += f" and {format_bytes(report.external_size)} external data"
-    not_run = [f"{level.level.word}: {level.reason}" for level in report.levels if not level.ran]
+    unrun_level_texts = [
+        f"{level.level.word}: {level.reason}" for level in report.levels if not level.ran
+    ]
     runs = [f"{level.level.word}: {level.runs}" for level in report.levels if level.runs]
     facts = {
         "kind": report.kind or "unknown",
@@ -96,7 +98,7 @@ def _facts_html(report: Report) -> str:
         "capacity": f"{report.capacity:,} rows" if report.capacity else "",
         "size": size,
         "validated for": f"{report.target.label} at level {report.level.word}",
-        "did not run": "; ".join(not_run),
+        "did not run": "; ".join(unrun_level_texts),
         "runs of the model": "; ".join(runs),
         "took": f"{report.seconds:.2f} s" if report.timed else "",
     }

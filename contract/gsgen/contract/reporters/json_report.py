@@ -41,7 +41,7 @@ from gsgen.contract.validation.report import (
 )
 from gsgen.contract.validation.rule import Rule
 
-_STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
+_RULE_STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
@@ -138,7 +138,7 @@ def _counts(report: Report) -> Counts:
         info=report.count(Severity.INFO),
         waived=sum(finding.waived for finding in report.findings),
         known=sum(finding.known for finding in report.findings),
-        rules={status: report.statuses[status] for status in _STATUSES},
+        rules={status: report.statuses[status] for status in _RULE_STATUSES},
     )
 
 

@@ -26,13 +26,16 @@ def histogram(distribution: Distribution, name: str) -> str:
             if count:
                 parts.append(_bar_svg(kind, left, stack_top, width - 1, height))
     low, high = _format_number(distribution.low), _format_number(distribution.high)
-    parts += [_label(_MARGIN_PIXELS, "start", low), _label(_WIDTH - _MARGIN_PIXELS, "end", high)]
+    parts += [
+        _label_svg(_MARGIN_PIXELS, "start", low),
+        _label_svg(_WIDTH - _MARGIN_PIXELS, "end", high),
+    ]
     invalid_count = sum(distribution.invalid)
     label = (
         f"Values of {name}: {invalid_count} of {sum(distribution.valid) + invalid_count} sampled rows "
         f"break the rule"
     )
-    return _svg(parts, label)
+    return _svg_document(parts, label)
 
 
 def number_line(statistic: Statistic) -> str:
@@ -52,9 +55,11 @@ def number_line(statistic: Statistic) -> str:
         _bar_svg("allowed", left, 40, right - left, 24),
         _bar_svg("invalid", mark_x - 1.5, 28, 3, 48),
     ]
-    parts += [_label(position(limit), "middle", _format_number(limit)) for limit in limits]
-    parts.append(_label(mark_x, "middle", _format_number(statistic.value), top=20))
-    return _svg(parts, f"{statistic.name}: {_format_number(statistic.value)}, allowed range shaded")
+    parts += [_label_svg(position(limit), "middle", _format_number(limit)) for limit in limits]
+    parts.append(_label_svg(mark_x, "middle", _format_number(statistic.value), top=20))
+    return _svg_document(
+        parts, f"{statistic.name}: {_format_number(statistic.value)}, allowed range shaded"
+    )
 
 
 def _format_number(value: float) -> str:
@@ -66,11 +71,11 @@ def _bar_svg(kind: str, left: float, top: float, width: float, height: float) ->
     return f'<rect class="{kind}" x="{left:.1f}" y="{top:.1f}" {size}/>'
 
 
-def _label(left: float, anchor: str, text: str, top: float = 114) -> str:
+def _label_svg(left: float, anchor: str, text: str, top: float = 114) -> str:
     return f'<text x="{left:.1f}" y="{top:g}" text-anchor="{anchor}">{for_html(text)}</text>'
 
 
-def _svg(parts: list[str], label: str) -> str:
+def _svg_document(parts: list[str], label: str) -> str:
     label_html = for_html(label)
     size = f'viewBox="0 0 {_WIDTH} {_PLOT_HEIGHT}"'
     image = f'<svg role="img" aria-label="{label_html}" {size}>{"".join(parts)}</svg>'

@@ -42,7 +42,7 @@ def to_sarif(entries: Sequence[Entry]) -> str:
     driver = {
         "name": "gsgen",
         "version": version("gsgen"),
-        "rules": [_rule(rule, docs_url) for rule in rules.values()],
+        "rules": [_sarif_rule(rule, docs_url) for rule in rules.values()],
     }
     results = [
         _result_entry(report, finding, numbers[finding.rule], number)
@@ -70,7 +70,7 @@ def _crashed_outcomes(report: Report) -> list[Outcome]:
     return [outcome for outcome in report.outcomes if outcome.status == "crashed"]
 
 
-def _rule(rule: Rule, docs_url: str) -> Json:
+def _sarif_rule(rule: Rule, docs_url: str) -> Json:
     url = help_url(rule, docs_url)
     return ({"helpUri": url} if url else {}) | {
         "id": rule.id,

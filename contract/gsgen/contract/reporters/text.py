@@ -78,7 +78,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         + _resolved_lines(report)
     )
     if verbose:
-        lines += _details(report)
+        lines += _detail_lines(report)
     if verbose or report.timed:
         lines += _probe_cost_lines(report)
     if report.timed:
@@ -249,7 +249,7 @@ def _probe_cost_lines(report: Report) -> list[Line]:
     return lines
 
 
-def _details(report: Report) -> list[Line]:
+def _detail_lines(report: Report) -> list[Line]:
     lines = [Line("  rules:")]
     for outcome in report.outcomes:
         if outcome.status in ("pass", "fail"):

@@ -134,7 +134,7 @@ def installed_rules() -> Registry:
                 loaded_rules, loaded_backends = _load(point)
                 # Raises if an id or a level is already taken.
                 Registry.from_rules([*rules, *loaded_rules], [*backends, *loaded_backends])
-                _require_owner(point, loaded_rules)
+                _require_rule_owner(point, loaded_rules)
         except Exception as error:  # a third party's import may fail in any way
             loaded_rules, loaded_backends = [_unloadable_rule(point, number, error)], []
         rules.extend(loaded_rules)
@@ -142,7 +142,7 @@ def installed_rules() -> Registry:
     return Registry.from_rules(rules, backends)
 
 
-def _require_owner(point: EntryPoint, rules: list[Rule]) -> None:
+def _require_rule_owner(point: EntryPoint, rules: list[Rule]) -> None:
     """Raise if a package other than gsgen registers an id without a name in front."""
     if point.value.partition(".")[0] == "gsgen":
         return

@@ -16,7 +16,7 @@ from gsgen.contract.validation.rule import rule
 
 _MAX_ELEMENTS = 1 << 40
 # The limit of NumPy arrays, which hold every input and output.
-_MAX_AXES = 64
+_MAX_AXIS_COUNT = 64
 # The inputs of several probes are in memory at the same time.
 _PROBES_PER_BATCH = 4
 
@@ -62,8 +62,8 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
             axes = len(tensor.dims or ())
             if has_negative_dim:
                 yield Violation.at(f"{kind} {tensor.name}", f"shape {tensor}", "sizes of 0 or more")
-            elif axes > _MAX_AXES:
-                expected = f"{_MAX_AXES} axes at most"
+            elif axes > _MAX_AXIS_COUNT:
+                expected = f"{_MAX_AXIS_COUNT} axes at most"
                 yield Violation.at(f"{kind} {tensor.name}", f"{axes} axes", expected)
             elif size > limit or size > 8 * _MAX_ELEMENTS:
                 actual = f"{format_mebibytes(size, 0)}, {tensor}"
@@ -72,9 +72,9 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
                 )
     for name, shape in probed_shapes(subject).items():
         input_tensor = graph.input(name)
-        if len(shape) > _MAX_AXES and input_tensor is not None and input_tensor.dims is None:
+        if len(shape) > _MAX_AXIS_COUNT and input_tensor is not None and input_tensor.dims is None:
             actual = f"{len(shape)} axes in the manifest"
-            yield Violation.at(f"input {name}", actual, f"{_MAX_AXES} axes at most")
+            yield Violation.at(f"input {name}", actual, f"{_MAX_AXIS_COUNT} axes at most")
     probed_total, probe_limit = probed_bytes(subject), limit // _PROBES_PER_BATCH
     if probed_total > probe_limit:  # includes sizes that are not fixed in the graph
         actual = f"{format_mebibytes(probed_total, 0)} in float64 in total"

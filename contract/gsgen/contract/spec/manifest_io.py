@@ -133,10 +133,10 @@ def _parse_document(text: str) -> ParsedManifest:
         actual = _shorten(document.get("contract", "nothing"))
         return _failed_parse("version", "contract", actual, 'a version such as "1.0"')
     if version[0] != CURRENT_VERSION[0]:
-        complaint = ManifestComplaint(
+        manifest_complaint = ManifestComplaint(
             "version", "contract", _version_text(version), f"major version {CURRENT_VERSION[0]}"
         )
-        return ParsedManifest(None, (complaint,), version)
+        return ParsedManifest(None, (manifest_complaint,), version)
     return _parse_body(document, version)
 
 

@@ -66,7 +66,7 @@ def _validate_entry(
         return Unreadable(str(path), error)
 
 
-_WILDCARDS = frozenset("*?[")
+_WILDCARD_CHARACTERS = frozenset("*?[")
 
 
 def expand_paths(
@@ -86,7 +86,7 @@ def expand_paths(
 
 
 def _expand_path(name: Path, is_entry_folder: Callable[[Path], bool]) -> Iterator[Path]:
-    if not name.is_dir() and not name.exists() and _WILDCARDS & set(str(name)):
+    if not name.is_dir() and not name.exists() and _WILDCARD_CHARACTERS & set(str(name)):
         matches = sorted(glob.glob(str(name), recursive=True))
         if not matches:
             hint = "Check the folder that the command runs in."

@@ -66,16 +66,16 @@ def _check_confinement() -> Iterator[Check]:
     files_detail = f"Landlock {confinement.files}: a model's process reads no other file of yours"
     calls_detail = "seccomp: a model's process has no network, and starts no other"
     remedy = "Run models of others in a container, or on Linux 5.13 or newer."
-    for name, is_there, detail, needed in (
+    for name, is_package_available, detail, needed in (
         ("confined files", confinement.files, files_detail, "Landlock"),
         ("confined calls", confinement.calls, calls_detail, "seccomp"),
     ):
         missing_detail = f"this kernel has no {needed}" if is_linux else "Linux alone has it"
         yield Check(
             name=name,
-            state="ok" if is_there else "missing",
-            detail=detail if is_there else missing_detail,
-            remedy="" if is_there else remedy,
+            state="ok" if is_package_available else "missing",
+            detail=detail if is_package_available else missing_detail,
+            remedy="" if is_package_available else remedy,
             purpose=purpose,
         )
 

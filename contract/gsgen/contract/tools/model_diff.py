@@ -81,30 +81,30 @@ def compare_models(
 
 
 def _contract_differences(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
-    yield from _changes("contract", _declared_fields(a), _declared_fields(b))
+    yield from _differing_entries("contract", _declared_fields(a), _declared_fields(b))
 
 
 def _declared_fields(subject: InspectedModel) -> dict[str, str]:
     if subject.parsed is None or subject.manifest is None:
         return {"manifest": _ABSENT_VALUE_TEXT if subject.parsed is None else "(invalid)"}
     dumps(subject.manifest)  # raises for a manifest that cannot be written
-    return dict(_flatten("", to_json(subject.manifest)))
+    return dict(_flatten_value("", to_json(subject.manifest)))
 
 
-def _flatten(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
+def _flatten_value(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from _flatten(f"{prefix}.{key}" if prefix else key, inner)
+            yield from _flatten_value(f"{prefix}.{key}" if prefix else key, inner)
     elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
         for index, inner in enumerate(value):
             name = inner.get("name", index) if isinstance(inner, dict) else index
-            yield from _flatten(f"{prefix}[{name}]", inner)
+            yield from _flatten_value(f"{prefix}[{name}]", inner)
     else:
         yield prefix, str(value)
 
 
 def _graph_differences(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
-    yield from _changes("graph", _structure(a), _structure(b))
+    yield from _differing_entries("graph", _structure(a), _structure(b))
 
 
 def _structure(subject: InspectedModel) -> dict[str, str]:
@@ -118,7 +118,7 @@ def _structure(subject: InspectedModel) -> dict[str, str]:
     return facts | {f"weights {shape}": f"{count} of them" for shape, count in sizes.items()}
 
 
-def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Difference]:
+def _differing_entries(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Difference]:
     for name in dict.fromkeys([*a, *b]):
         first, second = a.get(name, _ABSENT_VALUE_TEXT), b.get(name, _ABSENT_VALUE_TEXT)
         if first != second:
@@ -178,9 +178,9 @@ def _largest_distance(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
     if x.shape != y.shape:
         return float("inf"), max(len(x), len(y))
     abs_difference = np.abs(x.astype(np.float64) - y.astype(np.float64))
-    both_nan = np.isnan(x.astype(np.float64)) & np.isnan(y.astype(np.float64))
+    both_nan_mask = np.isnan(x.astype(np.float64)) & np.isnan(y.astype(np.float64))
     abs_difference = np.where(
-        both_nan | (x == y), 0.0, np.nan_to_num(abs_difference, nan=np.inf, posinf=np.inf)
+        both_nan_mask | (x == y), 0.0, np.nan_to_num(abs_difference, nan=np.inf, posinf=np.inf)
     )
     rows = (
         abs_difference.reshape(len(abs_difference), -1).max(axis=1)

@@ -41,7 +41,7 @@ from gsgen.contract.validation.settings import Settings
 
 MODEL_FILE_NAME = "model.onnx"
 _VECTOR_COUNT = 3
-_SET_NAME = re.compile(r"^test_data_set_[0-9]+$")
+_DATA_SET_FOLDER_PATTERN = re.compile(r"^test_data_set_[0-9]+$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,9 @@ def record_vectors(
     """
     settings = settings or Settings()
     model = model or folder / MODEL_FILE_NAME
-    existing_vector_files = [path for path in _list_folder(folder) if _SET_NAME.match(path.name)]
+    existing_vector_files = [
+        path for path in _list_folder(folder) if _DATA_SET_FOLDER_PATTERN.match(path.name)
+    ]
     if not force:
         refuse_existing(existing_vector_files, folder, "folder")
     progress(f"reading {source.name}")

@@ -54,7 +54,7 @@ _ROUNDING = {"float32": 2.0**-24, "float16": 2.0**-11}
 _SUBNORMAL_STEP = {"float32": 2.0**-149, "float16": 2.0**-24}
 # Other kernels round differently in every step: a long chain of them adds up to this.
 _ARITHMETIC_EPSILON = 2.0**-20
-_MIN_TRACE = 1e-30
+_MIN_COVARIANCE_TRACE = 1e-30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +160,7 @@ def _ellipsoid_errors(
     dtype, allowed = rows[1].dtype, allowance.tolerances
     relative, absolute = allowance.relative(dtype), allowance.absolute(dtype)
     # Statements 4 and 5: the units are those of the reference's Gaussian.
-    trace = np.maximum(a[:, VARIANCES].sum(axis=1), _MIN_TRACE)
+    trace = np.maximum(a[:, VARIANCES].sum(axis=1), _MIN_COVARIANCE_TRACE)
     sigma = np.sqrt(trace / 3)
     position = _divide_distances(_distance(a[:, POSITION], b[:, POSITION]), sigma)
     covariance = _divide_distances(_distance(a[:, COVARIANCE], b[:, COVARIANCE]), trace)
@@ -252,17 +252,19 @@ def comparable_parts(
     first: ModelOutputs, second: ModelOutputs
 ) -> tuple[ArrayPair | None, ArrayPair | None, ArrayPair | None]:
     """Return the packed rows, colours and cells of two runs that can be compared field by field."""
-    rows = _require_both_or_none(first.gaussians, second.gaussians)
+    rows = _require_both_arrays_or_none(first.gaussians, second.gaussians)
     if rows is None:
         return None, None, None
-    colors = _require_both_or_none(first.appearance, second.appearance)
+    colors = _require_both_arrays_or_none(first.appearance, second.appearance)
     channels = APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
     if colors is not None and colors[0].shape[1] not in channels:
         colors = None
-    return rows, colors, _require_both_or_none(first.cells, second.cells)
+    return rows, colors, _require_both_arrays_or_none(first.cells, second.cells)
 
 
-def _require_both_or_none(first: np.ndarray | None, second: np.ndarray | None) -> ArrayPair | None:
+def _require_both_arrays_or_none(
+    first: np.ndarray | None, second: np.ndarray | None
+) -> ArrayPair | None:
     if first is None or second is None or first.shape != second.shape:
         return None
     return first, second

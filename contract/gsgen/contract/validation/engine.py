@@ -97,7 +97,7 @@ class _Validation:
         """Run the validation stages up to the requested level, and return the report."""
         self._check_model()
         self._check_runs()
-        self._settle_remaining()
+        self._settle_remaining_levels()
         self.results.withdraw_predictions()
         self.results.withdraw_consequences()
         self._check_report()
@@ -157,7 +157,7 @@ class _Validation:
         prerequisite_rules = _in_dependency_order(
             self._rules_of_scope("execution", max_level=Level.VALUES)
         )
-        if not self._require_runnable(prerequisite_rules):
+        if not self._require_runnable_level(prerequisite_rules):
             return
         plan = make_plan(self.subject, level, self.settings.seed)
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
@@ -189,7 +189,7 @@ class _Validation:
                     self._check_behaviour(probe_runs)
                 self._check_backend_levels(probe_runs)
 
-    def _require_runnable(self, prerequisite_rules: list[Rule]) -> bool:
+    def _require_runnable_level(self, prerequisite_rules: list[Rule]) -> bool:
         """Return whether the model may be run; otherwise skip the rules that need outputs."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
@@ -329,7 +329,7 @@ class _Validation:
                     self.results.check(rule, context.context)
                     self.results.settle([rule], items=context.items)
 
-    def _settle_remaining(self) -> None:
+    def _settle_remaining_levels(self) -> None:
         """Mark every validation rule and level that was not executed as skipped."""
         requested_level = self.settings.level
         settled_levels = {outcome.level for outcome in self.levels}

@@ -195,11 +195,11 @@ def _scope_of_check(id: str, check: Check) -> Scope:
 
 
 def _doc_sections(id: str, doc: str) -> tuple[str, str, str, str]:
-    statement, why_marker, remainder = doc.partition("\nWhy:")
+    statement, why_section_marker, remainder = doc.partition("\nWhy:")
     rationale, hint_marker, remainder = remainder.partition("\nHint:")
     hint, _, evidence = remainder.partition("\nEvidence:")
     texts = tuple(" ".join(inspect.cleandoc(part).split()) for part in (statement, rationale, hint))
-    if not (why_marker and hint_marker and all(texts)):
+    if not (why_section_marker and hint_marker and all(texts)):
         raise ValueError(
             f"rule {id}: the docstring lacks a part, expected a statement, a `Why:` and a `Hint:` section"
         )
@@ -235,23 +235,23 @@ class Registry:
         Raises:
             ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.
         """
-        by_id: dict[str, Rule] = {}
+        rule_by_id: dict[str, Rule] = {}
         for entry in rules:
-            if entry.id in by_id:
+            if entry.id in rule_by_id:
                 raise ValueError(f"rule {entry.id} is declared twice, expected unique ids")
-            by_id[entry.id] = entry
-        for entry in by_id.values():
+            rule_by_id[entry.id] = entry
+        for entry in rule_by_id.values():
             for needed_rule in entry.needs:
-                if needed_rule not in by_id:
+                if needed_rule not in rule_by_id:
                     raise ValueError(f"rule {entry.id} needs {needed_rule}, which does not exist")
-        by_level: dict[Level, LevelBackend] = {}
+        backend_by_level: dict[Level, LevelBackend] = {}
         for backend in backends:
-            if backend.level in by_level:
+            if backend.level in backend_by_level:
                 raise ValueError(
                     f"validation level {backend.level.word} has two backends, expected one"
                 )
-            by_level[backend.level] = backend
-        return cls(by_id, by_level)
+            backend_by_level[backend.level] = backend
+        return cls(rule_by_id, backend_by_level)
 
     def of_scope(self, *, tilesets: bool) -> "Registry":
         """Return a registry with only the rules for 3D Tiles tilesets, or only the other rules."""
@@ -292,8 +292,8 @@ class Registry:
 
 def _nearest_id(stem: str, number: int, ids: list[str]) -> str:
     """Return a hint with the known rule ids that are most similar to a mistyped id."""
-    owner, slash, letters = stem.rpartition("/")
-    family = f"{owner.lower()}{slash}{letters.upper()}"
+    owner, slash, rule_id_letters = stem.rpartition("/")
+    family = f"{owner.lower()}{slash}{rule_id_letters.upper()}"
     code = f"{family}{number:03}"
     if slash and any(rule_id.startswith(f"{owner.lower()}/XX") for rule_id in ids):
         return f"The rules of {owner.lower()!r} do not load; `gsgen validate` tells why."

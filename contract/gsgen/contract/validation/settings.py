@@ -135,7 +135,7 @@ def _apply_config(base: Settings, data: dict[str, Any], registry: Registry, wher
         required=base.required | required,
         docs_url=section.get("docs_url", base.docs_url),
         tolerances={**base.tolerances, **data.get("tolerances", {})},
-        waivers=base.waivers + _waivers(data, registry, where),
+        waivers=base.waivers + _parse_waivers(data, registry, where),
     )
 
 
@@ -147,7 +147,7 @@ def _dates_to_text(data: dict[str, Any]) -> None:
             entry["until"] = entry["until"].isoformat()
 
 
-def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiver, ...]:
+def _parse_waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiver, ...]:
     waivers = []
     for number, entry in enumerate(data.get("waive", [])):
         location = f"{where}, waive.{number}"

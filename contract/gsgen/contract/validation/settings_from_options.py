@@ -70,7 +70,7 @@ def make_settings(
             f"{', '.join(sorted(unchecked_ids))} is required, but not among the rules to check"
         )
         raise ConfigInvalid(message, where=f"{prefix}only", hint="Add it there.")
-    severities = _severities(registry, severity, f"{prefix}severity")
+    severities = _severity_overrides(registry, severity, f"{prefix}severity")
     return replace(
         base,
         level=Level.parse(level, f"{prefix}level") if level else base.level,
@@ -90,9 +90,9 @@ def make_settings(
 def _default_config() -> Path | None:
     if _DEFAULT_CONFIG.is_file():
         return _DEFAULT_CONFIG
-    project = Path(PYPROJECT)
-    has_gsgen_table = project.is_file() and b"tool.gsgen" in project.read_bytes()
-    return project if has_gsgen_table else None
+    project_file = Path(PYPROJECT)
+    has_gsgen_table = project_file.is_file() and b"tool.gsgen" in project_file.read_bytes()
+    return project_file if has_gsgen_table else None
 
 
 def _rule_ids(registry: Registry, entries: Iterable[str], where: str) -> frozenset[str]:
@@ -100,7 +100,9 @@ def _rule_ids(registry: Registry, entries: Iterable[str], where: str) -> frozens
     return frozenset(registry.find(name, where).id for name in names)
 
 
-def _severities(registry: Registry, entries: Iterable[str], where: str) -> dict[str, Severity]:
+def _severity_overrides(
+    registry: Registry, entries: Iterable[str], where: str
+) -> dict[str, Severity]:
     severities: dict[str, Severity] = {}
     for entry in entries:
         name, sign, word = entry.partition("=")

@@ -38,8 +38,8 @@ from gsgen.formats.shared.quantities import SH_C0, sigmoid
 from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 
-_GSPLAT: Final = ("means", "quats", "scales", "opacities", "sh0", "shN")
-_SPLATFACTO: Final = ("means", "quats", "scales", "opacities", "features_dc", "features_rest")
+_GSPLAT_KEYS: Final = ("means", "quats", "scales", "opacities", "sh0", "shN")
+_SPLATFACTO_KEYS: Final = ("means", "quats", "scales", "opacities", "features_dc", "features_rest")
 _CAPTURE_LENGTH = 12
 
 
@@ -81,7 +81,7 @@ def read_checkpoint(path: FilePath, *, drop_invalid: bool = False) -> Splats:
             opened_archive = zipfile.ZipFile(file)
         with opened_archive as archive:
             torch_archive = TorchArchive(archive, stream_size(file))
-            layout = _layout_of(torch_archive, Path(path))
+            layout = _checkpoint_layout(torch_archive, Path(path))
             splats = _splats(torch_archive, layout)
         splats = drawable(splats, path, drop_invalid=drop_invalid)
     for note in layout.notes:
@@ -89,9 +89,9 @@ def read_checkpoint(path: FilePath, *, drop_invalid: bool = False) -> Splats:
     return splats
 
 
-def _layout_of(archive: TorchArchive, path: Path) -> _CheckpointLayout:
+def _checkpoint_layout(archive: TorchArchive, path: Path) -> _CheckpointLayout:
     """Find the splat tensors in a checkpoint of gsplat, nerfstudio or 3DGS; raise for others."""
-    content = _unwrapped(archive.data())
+    content = _unwrap_state_dict(archive.data())
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
         return _gsplat_layout(content, path)
     if isinstance(content, dict) and isinstance(content.get("pipeline"), dict):
@@ -101,7 +101,7 @@ def _layout_of(archive: TorchArchive, path: Path) -> _CheckpointLayout:
     raise unsupported_content_error(content, is_script=archive.is_script)
 
 
-def _unwrapped(content: Any) -> Any:
+def _unwrap_state_dict(content: Any) -> Any:
     """Return the dict of a checkpoint as trainers save it, from one of a bare model.
 
     ``state_dict()`` saves the tensors without the trainer's keys, and DistributedDataParallel
@@ -111,8 +111,8 @@ def _unwrapped(content: Any) -> Any:
         return content
     for key in ("splats", "pipeline"):
         if isinstance(content.get(key), dict):
-            return {**content, key: _without_wrappers(content[key])}
-    names = _without_wrappers(content)
+            return {**content, key: _remove_wrapper_prefixes(content[key])}
+    names = _remove_wrapper_prefixes(content)
     if {"means", "quats", "scales"} <= names.keys():
         return {"splats": names}
     for prefix in ("gauss_params.", "_model.gauss_params.", "splats."):
@@ -127,10 +127,10 @@ def _unwrapped(content: Any) -> Any:
             return {"pipeline": {f"_model.gauss_params.{k}": v for k, v in tensors.items()}}
     inner = [names.get(key) for key in ("state_dict", "model_state_dict", "model")]
     states = [state for state in inner if isinstance(state, dict)]
-    return _unwrapped(states[0]) if states else content
+    return _unwrap_state_dict(states[0]) if states else content
 
 
-def _without_wrappers(tensors: dict[Any, Any]) -> dict[Any, Any]:
+def _remove_wrapper_prefixes(tensors: dict[Any, Any]) -> dict[Any, Any]:
     """Return a state dict without the part ``module`` in its names."""
     return {
         re.sub(r"(^|\.)module\.", r"\1", name) if isinstance(name, str) else name: value
@@ -158,7 +158,7 @@ def _gsplat_layout(content: dict[Any, Any], path: Path) -> _CheckpointLayout:
             f"one of {len(rank_files)} files of a training on several GPUs; convert them all"
         )
     return _CheckpointLayout(
-        names=_GSPLAT,
+        names=_GSPLAT_KEYS,
         tensors=tensors,
         antialiased=_read_flag(path.parent.parent / "cfg.yml", r"antialiased:\s*true"),
         notes=tuple(notes),
@@ -174,17 +174,17 @@ def _nerfstudio_layout(state: dict[Any, Any], path: Path) -> _CheckpointLayout:
         for name, value in state.items()
         if isinstance(name, str) and name.startswith(prefix)
     }
-    unknown_names = [name for name in tensors if name not in _SPLATFACTO]
+    unknown_names = [name for name in tensors if name not in _SPLATFACTO_KEYS]
     if "means" not in tensors or (has_prefix and unknown_names):
         raise NotSupported(
             f"the checkpoint holds another nerfstudio model than splatfacto, with {join_names(unknown_names or list(map(str, state)), limit=6)}",
             where="pipeline",
-            expected=f"{prefix}* of splatfacto: {join_names(list(_SPLATFACTO))}",
+            expected=f"{prefix}* of splatfacto: {join_names(list(_SPLATFACTO_KEYS))}",
         )
     rest = tensors.get("features_rest")
     has_grids = any(str(name).startswith("_model.bil_grids") for name in state)
     return _CheckpointLayout(
-        names=_SPLATFACTO,
+        names=_SPLATFACTO_KEYS,
         tensors=tensors,
         antialiased=_read_flag(
             path.parent.parent / "config.yml", r"\s*rasterize_mode:\s*antialiased"
@@ -200,9 +200,9 @@ def _capture_layout(values: tuple[Any, ...]) -> _CheckpointLayout:
         raise unsupported_content_error(values, is_script=False)
     # capture() lists scales before quaternions, and harmonics before both.
     _, means, dc, rest, scales, quaternions, opacities, *_ = values
-    ordered = (means, quaternions, scales, opacities, dc, rest)
+    ordered_tensors = (means, quaternions, scales, opacities, dc, rest)
     return _CheckpointLayout(
-        names=_SPLATFACTO, tensors=dict(zip(_SPLATFACTO, ordered, strict=True))
+        names=_SPLATFACTO_KEYS, tensors=dict(zip(_SPLATFACTO_KEYS, ordered_tensors, strict=True))
     )
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, final
 
-_STORAGES = {
+_DTYPE_BY_STORAGE = {
     "FloatStorage": "float32", "DoubleStorage": "float64", "HalfStorage": "float16",
     "BFloat16Storage": "bfloat16", "LongStorage": "int64", "IntStorage": "int32",
     "ShortStorage": "int16", "CharStorage": "int8", "ByteStorage": "uint8", "BoolStorage": "bool",
@@ -109,7 +109,7 @@ class _PickleMachine:
         (_, kind, key, *_), *_ = self.pop_many(1)
         if not isinstance(key, str | int):
             raise TypeError("the pickle names stored numbers by neither a text nor a number")
-        self.push(Storage(str(key), _STORAGES.get(kind.name.rpartition(".")[2], "")))
+        self.push(Storage(str(key), _DTYPE_BY_STORAGE.get(kind.name.rpartition(".")[2], "")))
 
 
 def _dict_from_pairs(items: list[Any]) -> dict[Any, Any]:
@@ -138,7 +138,7 @@ def _build_object(name: str, arguments: Any) -> Any:
     return TensorReference(storage, offset, tuple(shape), tuple(strides))
 
 
-_INSTRUCTIONS = {instruction.code: instruction for instruction in pickletools.opcodes}
+_INSTRUCTION_BY_CODE = {instruction.code: instruction for instruction in pickletools.opcodes}
 _OPCODE_ACTIONS: dict[str, Callable[[_PickleMachine, Any], object]] = {
     "PROTO": lambda machine, _: None,
     "FRAME": lambda machine, _: None,
@@ -201,17 +201,17 @@ def pickled_data(content: bytes) -> Any:
     machine = _PickleMachine()
     stream = io.BytesIO(content)
     while code := stream.read(1):
-        instruction = _INSTRUCTIONS.get(code.decode("latin1"))
+        instruction = _INSTRUCTION_BY_CODE.get(code.decode("latin1"))
         name = f"{code!r}" if instruction is None else instruction.name
         if name == "STOP":
             return machine.pop_many(1)[0]
         if instruction is None or name not in _OPCODE_ACTIONS:
             raise ValueError(f"the instruction {name} of the pickle is not supported")
-        _OPCODE_ACTIONS[name](machine, _argument(instruction, stream))
+        _OPCODE_ACTIONS[name](machine, _read_argument(instruction, stream))
     raise ValueError("the pickle ends without a STOP instruction")
 
 
-def _argument(instruction: pickletools.OpcodeInfo, stream: io.BytesIO) -> Any:
+def _read_argument(instruction: pickletools.OpcodeInfo, stream: io.BytesIO) -> Any:
     if instruction.name == "STRING":  # pickletools reads ASCII alone
         raw = pickletools.read_stringnl(stream, decode=False)
         return codecs.escape_decode(raw)[0].decode("latin1")

@@ -19,7 +19,7 @@ PICKLE_MEMBER: Final = "*/data.pkl"
 _MAX_READS_PER_BYTE = 64
 """How often the bytes of the file may be read, because tensors take turns in several storages."""
 
-_MAX_PICKLE = 16 << 20
+_MAX_PICKLE_BYTES = 16 << 20
 """The most bytes of names and settings; checkpoints of splats have a few thousand."""
 
 
@@ -37,13 +37,15 @@ class TorchArchive:
                 raise ValueError(f"the zip archive has {len(names)} files data.pkl, expected one")
             self._member_prefix = names[0].removesuffix("data.pkl")
             self.is_script = f"{self._member_prefix}constants.pkl" in archive.namelist()
-            has_order = f"{self._member_prefix}byteorder" in archive.namelist()
-            self._order = ">" if has_order and self._member("byteorder") == b"big" else "<"
+            has_byte_order_member = f"{self._member_prefix}byteorder" in archive.namelist()
+            self._order = (
+                ">" if has_byte_order_member and self._read_member("byteorder") == b"big" else "<"
+            )
 
     def data(self) -> Any:
         """Return the saved Python object, with a :class:`TensorReference` for each tensor."""
         with unpacking("data.pkl"):
-            return pickled_data(self._member("data.pkl", _MAX_PICKLE))
+            return pickled_data(self._read_member("data.pkl", _MAX_PICKLE_BYTES))
 
     def array(self, tensor: TensorReference, name: str) -> Float32[np.ndarray, "..."]:
         """Read a floating-point tensor of the archive as float32.
@@ -82,7 +84,7 @@ class TorchArchive:
     def _stored_bytes(self, key: str) -> bytes:
         """Read the bytes of a storage, which the next tensor often shares."""
         if key != self._storage_key:
-            content = self._member(f"data/{key}")
+            content = self._read_member(f"data/{key}")
             self._byte_count += len(content)
             if self._byte_count > _MAX_READS_PER_BYTE * self._file_size:
                 raise SizeExceeded(
@@ -93,7 +95,7 @@ class TorchArchive:
             self._storage_key, self._storage = key, content
         return self._storage
 
-    def _member(self, name: str, limit: int | None = None) -> bytes:
+    def _read_member(self, name: str, limit: int | None = None) -> bytes:
         """Read a file of the zip archive, after a check of its declared size."""
         entry = self._archive.getinfo(self._member_prefix + name)
         if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:

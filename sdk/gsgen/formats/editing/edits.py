@@ -83,7 +83,7 @@ def _numeric_edit_option(edit: Callable[..., Splats], metavar: str) -> Option:
     return Option(metavar, parse)
 
 
-def _decimation(text: str) -> Edit:
+def _parse_decimation(text: str) -> Edit:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)(%?)", text)
     amount = float(match[1]) if match else 0.0
     is_invalid = amount > 100 if match and match[2] else amount % 1 > 0
@@ -98,7 +98,7 @@ def _decimation(text: str) -> Edit:
     return merge
 
 
-def _scaling(text: str) -> Edit:
+def _parse_scaling(text: str) -> Edit:
     (factor,) = _numbers(text, "FACTOR")
     return lambda splats: scaled(splats, factor)
 
@@ -111,12 +111,12 @@ def _floaters(text: str) -> Edit:
 EDIT_OPTIONS: Final[dict[str, Option]] = {
     "translate": _numeric_edit_option(translated, "X,Y,Z"),
     "rotate": _numeric_edit_option(rotated, "X,Y,Z"),
-    "scale": Option("FACTOR", _scaling),
+    "scale": Option("FACTOR", _parse_scaling),
     "box": _numeric_edit_option(within_box, "X,Y,Z,X,Y,Z"),
     "sphere": _numeric_edit_option(within_sphere, "X,Y,Z,RADIUS"),
     "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
     "drop_floaters": Option("SIZE,COUNT", _floaters, is_row_wise=False),
-    "decimate": Option("N|N%", _decimation, is_row_wise=False),
+    "decimate": Option("N|N%", _parse_decimation, is_row_wise=False),
     "morton": Option("", lambda text: morton_ordered, is_row_wise=False),
 }
 """The edits by name."""

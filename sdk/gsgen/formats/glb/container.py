@@ -88,13 +88,17 @@ def parse(data: Data) -> Container:
         )
     require_length(data, start, size, "chunk JSON")
     document = parse_document(bytes(data[start : start + size]))
-    binary, body = start + size, 0
-    if binary + _CHUNK_HEADER.size <= min(length, len(data)):
-        body, kind = _CHUNK_HEADER.unpack_from(data, binary)
+    binary_chunk_start, body = start + size, 0
+    if binary_chunk_start + _CHUNK_HEADER.size <= min(length, len(data)):
+        body, kind = _CHUNK_HEADER.unpack_from(data, binary_chunk_start)
         body = body if kind == b"BIN\0" else 0
-        require_length(data, binary + _CHUNK_HEADER.size, body, "chunk BIN")
+        require_length(data, binary_chunk_start + _CHUNK_HEADER.size, body, "chunk BIN")
     return Container(
-        document=document, data=data, start=binary + _CHUNK_HEADER.size, size=body, length=length
+        document=document,
+        data=data,
+        start=binary_chunk_start + _CHUNK_HEADER.size,
+        size=body,
+        length=length,
     )
 
 

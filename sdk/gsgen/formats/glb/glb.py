@@ -50,7 +50,7 @@ from gsgen.formats.shared.values import require_rows
 __all__ = ["decode_glb", "read_glb", "scene_primitives", "write_glb"]
 
 _MAX_UINT32 = 2**32 - 1
-_HEADER_ROOM = 1 << 16
+_RESERVED_HEADER_BYTES = 1 << 16
 _FLOAT, _WIDTHS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _BYTES_PER_SPLAT = 44  # of a splat in memory, less its harmonics
 
@@ -175,8 +175,12 @@ def _unused_parts(glb: Container) -> list[str]:
         for name in array_member(document, "extensionsUsed", "document")
         if not any(fnmatchcase(str(name), pattern) for pattern in READABLE_EXTENSIONS)
     ]
-    trailing = len(glb.data) - glb.length if glb.length else 0
-    return names + ([f"{trailing:,} bytes after the end of the file"] if trailing > 0 else [])
+    trailing_byte_count = len(glb.data) - glb.length if glb.length else 0
+    return names + (
+        [f"{trailing_byte_count:,} bytes after the end of the file"]
+        if trailing_byte_count > 0
+        else []
+    )
 
 
 def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
@@ -208,7 +212,7 @@ def write_glb(path: FilePath, splats: Splats) -> None:
         require_drawable(splats)
         arrays = _attributes(flip(splats, RDF_LUF))
         size = sum(array.nbytes for array in arrays.values())
-        if size > _MAX_UINT32 - _HEADER_ROOM:
+        if size > _MAX_UINT32 - _RESERVED_HEADER_BYTES:
             raise ValueInvalid(
                 f"the arrays take {size} bytes",
                 where="arrays",

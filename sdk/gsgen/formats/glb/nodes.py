@@ -31,7 +31,7 @@ _MAX_DEPTH = 200
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
     """Yield the meshes of a glTF scene, each with its mesh→world matrix."""
-    pending_nodes = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
+    pending_nodes = [(index, np.eye(4), 0) for index in reversed(_root_nodes(glb))]
     visited: set[int] = set()
     while pending_nodes:
         index, parent_matrix, depth = pending_nodes.pop()
@@ -52,7 +52,7 @@ def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
         pending_nodes += [(child, matrix, depth + 1) for child in reversed(child_indices)]
 
 
-def _roots(glb: Container) -> list[int]:
+def _root_nodes(glb: Container) -> list[int]:
     if "scenes" in glb.document:
         scene = glb.item("scenes", glb.document.get("scene", 0), "scene")
         return [

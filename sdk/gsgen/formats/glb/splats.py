@@ -31,14 +31,14 @@ COLOR_SPACES: Final[dict[str, Literal["srgb", "linear"]]] = {
     "lin_rec709_display": "linear",
 }
 
-_SPZ = (
+_SPZ_EXTENSION_NAMES = (
     "KHR_gaussian_splatting_compression_spz_2",
     "KHR_gaussian_splatting_compression_spz",
     "KHR_spz_gaussian_splats_compression",
 )
 READABLE_EXTENSIONS: Final = (
     EXTENSION_NAME,
-    *_SPZ,
+    *_SPZ_EXTENSION_NAMES,
     "KHR_mesh_quantization",
     "KHR_materials_*",
     "KHR_lights_punctual",
@@ -55,7 +55,7 @@ def is_splats(primitive: Json) -> bool:
     """Return whether a glTF primitive holds splats by KHR_gaussian_splatting or a draft of it."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
     has_extension = isinstance(extensions, dict) and any(
-        key in extensions for key in (EXTENSION_NAME, *_SPZ)
+        key in extensions for key in (EXTENSION_NAME, *_SPZ_EXTENSION_NAMES)
     )
     return has_extension or (isinstance(attributes, dict) and _uses_draft_attributes(attributes))
 
@@ -76,13 +76,13 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
     if EXTENSION_NAME in extensions:
         space = _color_space(extension, attributes, where)
     packed = extensions | object_member(extension, "extensions", where)
-    for name in _SPZ:
+    for name in _SPZ_EXTENSION_NAMES:
         if name in packed:
-            splats = _from_spz(
+            splats = _splats_from_spz(
                 glb, object_member(packed, name, where), f"{where}, {name}", max_bytes
             )
             return replace(splats, color_space=space)
-    return _from_attributes(glb, attributes, where, space)
+    return _splats_from_attributes(glb, attributes, where, space)
 
 
 def _color_space(extension: Json, attributes: Json, where: str) -> Literal["srgb", "linear"]:
@@ -101,7 +101,7 @@ def _color_space(extension: Json, attributes: Json, where: str) -> Literal["srgb
     return COLOR_SPACES[space]
 
 
-def _from_spz(glb: Container, extension: Json, where: str, max_bytes: int) -> Splats:
+def _splats_from_spz(glb: Container, extension: Json, where: str, max_bytes: int) -> Splats:
     view = glb.item("bufferViews", extension.get("bufferView"), where)
     start, size = view_range(glb, view, where)
     frame = container.unpack(bytes(glb.data[start : start + size]), max_bytes)
@@ -117,10 +117,10 @@ def _from_spz(glb: Container, extension: Json, where: str, max_bytes: int) -> Sp
     return flip(flip(splats, frame.signs), RDF_LUF)
 
 
-def _from_attributes(
+def _splats_from_attributes(
     glb: Container, attributes: Json, where: str, space: Literal["srgb", "linear"]
 ) -> Splats:
-    arrays = _Arrays(glb, attributes, where)
+    arrays = _AttributeReader(glb, attributes, where)
     position = arrays.read("POSITION", widths=(3,))
     rotation = arrays.read(f"{EXTENSION_NAME}:ROTATION", "_ROTATION", widths=(4,))
     scale = arrays.read(f"{EXTENSION_NAME}:SCALE", "_SCALE", widths=(3,))
@@ -143,7 +143,7 @@ def _from_attributes(
     )
 
 
-class _Arrays:
+class _AttributeReader:
     """Reads the attribute arrays of one glTF primitive, which must have equal lengths."""
 
     def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
@@ -171,7 +171,9 @@ class _Arrays:
         return array
 
 
-def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndarray, "n k 3"]:
+def _harmonics(
+    arrays: _AttributeReader, attributes: Json, where: str
+) -> Float32[np.ndarray, "n k 3"]:
     stored_pairs = {
         (int(match[1]), int(match[2]))
         for match in map(_COEFFICIENT_NAME.fullmatch, attributes)

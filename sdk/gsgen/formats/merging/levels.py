@@ -68,12 +68,12 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     mass = mixture.mass
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
     cell_depth, starts = choose_cells(mixture.code, depth, target)
-    is_retained = _select_largest(mass, starts, int(target))
+    is_retained = _select_largest_splats(mass, starts, int(target))
     # 2. Where these cells are too many, coarser ones leave room for the largest splats. They are
     #    better where these splats are most of what is seen: merging large splats blurs most.
     if len(starts) > target and cell_depth > depth:
         coarse_starts = _cell_starts(cell_codes(mixture.code, cell_depth - 1))
-        is_unmerged = _select_largest(mass, coarse_starts, int(target))
+        is_unmerged = _select_largest_splats(mass, coarse_starts, int(target))
         if float(mass[is_unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
             cell_depth, starts, is_retained = cell_depth - 1, coarse_starts, is_unmerged
     # 3. The largest splats stay as they are: each becomes a cluster of its own.
@@ -100,7 +100,7 @@ def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarr
     return np.repeat(np.arange(len(starts)), np.diff(starts, append=count))
 
 
-def _select_largest(
+def _select_largest_splats(
     mass: Float64[np.ndarray, " n"], starts: Int64[np.ndarray, " m"], count: int
 ) -> Bool[np.ndarray, " n"]:
     """Return the mask of the largest splats to keep unmerged, for a level of ``count`` splats.

@@ -10,7 +10,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt64
 
-_THOMSEN: Final = 1.6075
+_THOMSEN_EXPONENT: Final = 1.6075
 
 
 @final
@@ -66,6 +66,6 @@ def surface_area(scale: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     a, b, c = np.asarray(scale, np.float64).T
     largest = np.maximum(np.maximum(a, b), c)
     unit = np.where(largest > 0, largest, 1.0)  # powers of tiny numbers would vanish
-    a, b, c = (np.power(axis / unit, _THOMSEN) for axis in (a, b, c))
+    a, b, c = (np.power(axis / unit, _THOMSEN_EXPONENT) for axis in (a, b, c))
     mean = (a * b + a * c + b * c) / 3
-    return np.asarray(4 * math.pi * unit**2 * np.power(mean, 1 / _THOMSEN))
+    return np.asarray(4 * math.pi * unit**2 * np.power(mean, 1 / _THOMSEN_EXPONENT))

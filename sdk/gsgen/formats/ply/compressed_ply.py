@@ -67,13 +67,13 @@ def _packed_chunks(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndar
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)
     boxes = [_box(part) for part in parts]
-    (p_low, p_high), (s_low, s_high), (color_low, color_high) = (
+    (position_low, position_high), (scale_low, scale_high), (color_low, color_high) = (
         [np.repeat(end, rows.ROWS_PER_CHUNK, axis=0)[: len(splats)] for end in box] for box in boxes
     )
     words = [
-        rows.pack_in_box(splats.position, p_low, p_high),
+        rows.pack_in_box(splats.position, position_low, position_high),
         rows.pack_rotation(splats.rotation),
-        rows.pack_in_box(splats.log_scale, s_low, s_high),
+        rows.pack_in_box(splats.log_scale, scale_low, scale_high),
         rows.pack_color(color, splats.logit_opacity, color_low, color_high),
     ]
     ends = [end for box in boxes for end in box]

@@ -224,10 +224,12 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     if end is None:
         raise _missing_end_error(len(first_bytes), len(data))
     lines = first_bytes[: end.start()].split(b"\n")
-    return [_decoded_line(line, number) for number, line in enumerate(lines[1:-1], 2)], end.end()
+    return [
+        _decode_header_line(line, number) for number, line in enumerate(lines[1:-1], 2)
+    ], end.end()
 
 
-def _decoded_line(line: bytes, number: int) -> str:
+def _decode_header_line(line: bytes, number: int) -> str:
     """Decode a line of a PLY header: free text may be UTF-8 or Latin-1, the others are ASCII."""
     if line.isascii():
         return line.decode("ascii")

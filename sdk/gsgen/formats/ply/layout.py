@@ -72,10 +72,10 @@ def find_vertex(header: Header) -> Element:
             expected="a plain 3DGS PLY",
             hint="unpack it: `gsgen convert packed.ply plain.ply`",
         )
-    lists = [item.name for item in vertex.properties if item.count_type]
-    if lists:
+    list_properties = [item.name for item in vertex.properties if item.count_type]
+    if list_properties:
         raise NotSupported(
-            f"the properties {join_names(lists)} are lists",
+            f"the properties {join_names(list_properties)} are lists",
             where="element 'vertex'",
             expected="plain numbers",
         )
@@ -84,8 +84,8 @@ def find_vertex(header: Header) -> Element:
 
 def is_splat(names: Collection[str]) -> bool:
     """Return whether a PLY file has a property that only splats have, such as ``f_dc_0``."""
-    splat_only = set(splat_names(0)).difference(XYZ)
-    return any(name in splat_only or _REST_NAME.fullmatch(name) for name in names)
+    splat_only_names = set(splat_names(0)).difference(XYZ)
+    return any(name in splat_only_names or _REST_NAME.fullmatch(name) for name in names)
 
 
 def splat_colors(names: Collection[str]) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def splat_degree(names: Collection[str]) -> int:
             no degree.
     """
     replaced_names = _CONSTANT_NAMES if splat_colors(names) else ()
-    _require_all(names, splat_names(0), replaced_names)
+    _require_all_properties(names, splat_names(0), replaced_names)
     higher_sh_names = [name for name in names if _REST_NAME.fullmatch(name)]
     if len(higher_sh_names) not in _REST_COUNTS:
         raise PropertyMissing(
@@ -115,11 +115,11 @@ def splat_degree(names: Collection[str]) -> int:
             expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
     degree = math.isqrt(len(higher_sh_names) // 3 + 1) - 1
-    _require_all(names, splat_names(degree), replaced_names)
+    _require_all_properties(names, splat_names(degree), replaced_names)
     return degree
 
 
-def _require_all(
+def _require_all_properties(
     names: Collection[str], needed: list[str], replaced_names: Collection[str]
 ) -> None:
     missing = [name for name in needed if name not in names and name not in replaced_names]

@@ -108,11 +108,11 @@ def _columns(
     data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
 ) -> list[Shaped[np.ndarray, " n"]]:
     """Return PLY columns ``names``; raise if one is missing or not of the scalar type ``code``."""
-    wrong = [name for name in names if element.types.get(name) != code]
-    if wrong or element.has_lists:
+    wrongly_typed_names = [name for name in names if element.types.get(name) != code]
+    if wrongly_typed_names or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}
         raise PropertyMissing(
-            f"the properties {join_names(wrong)} are missing or of another type; found {join_names(list(element.types))}",
+            f"the properties {join_names(wrongly_typed_names)} are missing or of another type; found {join_names(list(element.types))}",
             where=f"element {element.name!r}",
             expected=f"{join_names(list(names), limit=100)} of type {kinds[code]}, no lists",
         )

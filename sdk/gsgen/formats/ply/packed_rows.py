@@ -37,7 +37,7 @@ _AXIS_BITS = (11, 10, 11)
 _COLOR_BITS = (8, 8, 8, 8)
 _ROTATION_BITS = (2, 10, 10, 10)
 _SQRT_TWO = float(np.sqrt(2))
-_SH_LIMIT = 8.0  # harmonics lie from -4 to 4
+_SH_RANGE_WIDTH = 8.0  # harmonics lie from -4 to 4
 
 PackedWords = UInt32[np.ndarray, " n"]
 
@@ -133,12 +133,12 @@ def unpack_sh(sh_bytes: UInt8[np.ndarray, "n m"]) -> Float32[np.ndarray, "n m"]:
     """Unpack bytes to SH coefficients above degree 0."""
     fractions = (sh_bytes + 0.5) / 256
     fractions[sh_bytes == 0], fractions[sh_bytes == 255] = 0, 1
-    return ((fractions - 0.5) * _SH_LIMIT).astype(np.float32)
+    return ((fractions - 0.5) * _SH_RANGE_WIDTH).astype(np.float32)
 
 
 def pack_sh(sh: Float32[np.ndarray, "n m"]) -> UInt8[np.ndarray, "n m"]:
     """Pack SH coefficients above degree 0 into bytes."""
-    return to_bytes(np.floor((sh.astype(np.float64) / _SH_LIMIT + 0.5) * 256))
+    return to_bytes(np.floor((sh.astype(np.float64) / _SH_RANGE_WIDTH + 0.5) * 256))
 
 
 def _fraction_in_box(

@@ -39,7 +39,7 @@ _SHORT_TYPES = ("i2", "u2")
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Content:
+class _PlyContent:
     """The content of a PLY file, and for each element the properties that were used."""
 
     content: Splats | PointCloud
@@ -78,7 +78,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
         header = parse_header(data)
         if is_packed(header):
             splats, used = read_packed(data, header)
-            content = _Content(drawable(splats, path, drop_invalid=drop_invalid), used)
+            content = _PlyContent(drawable(splats, path, drop_invalid=drop_invalid), used)
         else:
             vertex = find_vertex(header)
             require_still_splats(vertex.types)
@@ -90,7 +90,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
 
 def _read_splats(
     data: mmap.mmap, header: Header, vertex: Element, path: FilePath, *, drop_invalid: bool
-) -> _Content:
+) -> _PlyContent:
     degree, colors = splat_degree(vertex.types), splat_colors(vertex.types)
     groups: dict[str, tuple[str, ...]] = splat_groups(degree)
     if colors:
@@ -125,11 +125,13 @@ def _read_splats(
     try:
         splats = drawable(splats, path, drop_invalid=drop_invalid, labels=labels, where=VERTEX)
     except ValueInvalid as error:
-        short = [name for name in names if vertex.types[name] in _SHORT_TYPES]
-        if short:
-            error.hint = f"PLY has no type for half floats: write {join_names(short)} as float"
+        short_properties = [name for name in names if vertex.types[name] in _SHORT_TYPES]
+        if short_properties:
+            error.hint = (
+                f"PLY has no type for half floats: write {join_names(short_properties)} as float"
+            )
         raise
-    return _Content(splats, {vertex.name: names, **used_space})
+    return _PlyContent(splats, {vertex.name: names, **used_space})
 
 
 def _wide_groups(vertex: Element) -> tuple[str, ...]:
@@ -167,7 +169,7 @@ def declared_color_space(
 
 def _read_cloud(
     data: mmap.mmap, header: Header, vertex: Element, path: FilePath, *, drop_invalid: bool
-) -> _Content:
+) -> _PlyContent:
     colors = cloud_colors(vertex.types)
     require_rows(vertex.count, VERTEX)
     groups = {"position": XYZ, "color": colors}
@@ -183,4 +185,4 @@ def _read_cloud(
     except ValueInvalid as error:
         error.hint = error.hint or ("" if drop_invalid else DROP_HINT)
         raise
-    return _Content(cloud, {vertex.name: (*XYZ, *colors)})
+    return _PlyContent(cloud, {vertex.name: (*XYZ, *colors)})

@@ -10,7 +10,7 @@ from gsgen.formats.ply.binary import binary_rows, end_of_elements
 from gsgen.formats.ply.header import Element, Header
 from gsgen.formats.shared.errors import join_names
 
-_NORMALS = ("nx", "ny", "nz")
+_NORMAL_PROPERTIES = ("nx", "ny", "nz")
 
 
 def unused_parts(data: mmap.mmap, header: Header, used: Mapping[str, Collection[str]]) -> list[str]:
@@ -30,8 +30,8 @@ def unused_parts(data: mmap.mmap, header: Header, used: Mapping[str, Collection[
             parts += [f"element {element.name} ({element.count:,} rows)"] if element.count else []
             continue
         names = [name for name in element.types if name not in properties]
-        if set(_NORMALS) & set(names) and not _has_normals(data, header, element):
-            names = [name for name in names if name not in _NORMALS]
+        if set(_NORMAL_PROPERTIES) & set(names) and not _has_normals(data, header, element):
+            names = [name for name in names if name not in _NORMAL_PROPERTIES]
         if names:
             noun = "property" if len(names) == 1 else "properties"
             parts.append(f"{noun} {join_names(names)}")
@@ -43,7 +43,7 @@ def _has_normals(data: mmap.mmap, header: Header, vertex: Element) -> bool:
     """Return whether the first rows have a normal other than 0, 0, 0."""
     read = ascii_rows if header.encoding == "ascii" else binary_rows
     chunk = next(iter(read(data, header, vertex)), {})
-    return any(chunk[name].any() for name in _NORMALS if name in chunk)
+    return any(chunk[name].any() for name in _NORMAL_PROPERTIES if name in chunk)
 
 
 def _rows_after_the_end(data: mmap.mmap, header: Header) -> list[str]:

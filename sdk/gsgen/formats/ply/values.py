@@ -16,7 +16,7 @@ from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, NO_ORIGIN, PointClou
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
 _ORIGIN_STEP: Final = 1000.0
-_LEAST_LOSS: Final = 1e-4  # of a coordinate, in units
+_MIN_REPORTED_LOSS: Final = 1e-4  # of a coordinate, in units
 VERTEX: Final = "element 'vertex'"
 """The place of the rows of a PLY file, in messages."""
 
@@ -43,11 +43,11 @@ def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
         return cloud
     if not is_drawable.any():
         require_finite(cloud.position, _labels(XYZ))
-    _warn_of_dropped(path, is_valid, cloud.position, XYZ)
+    _warn_of_dropped_values(path, is_valid, cloud.position, XYZ)
     return PointCloud(cloud.position[is_drawable], cloud.color[is_drawable])
 
 
-def _warn_of_dropped(
+def _warn_of_dropped_values(
     path: FilePath,
     is_valid: Bool[np.ndarray, "n m"],
     values: Float32[np.ndarray, "n m"],
@@ -87,7 +87,7 @@ def near_origin(
         return narrow, NO_ORIGIN
     origin = np.round((low + high) / 2 / _ORIGIN_STEP) * _ORIGIN_STEP + 0.0  # no -0
     loss = np.abs(position[is_finite] - narrow[is_finite]).max()
-    if not origin.any() or loss < _LEAST_LOSS:
+    if not origin.any() or loss < _MIN_REPORTED_LOSS:
         return narrow, NO_ORIGIN
     x, y, z = (float(value) for value in origin)
     text = (

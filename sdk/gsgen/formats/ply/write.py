@@ -24,7 +24,7 @@ from gsgen.formats.shared.splats import DEFAULT_UP, PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
 _MAX_SH_BYTES: Final = 1 << 28  # of SH coefficients, at most, whose rows PlyFrames keeps
-_NO_SH: Final = np.empty((0, 1, 3), np.float32)
+_EMPTY_HIGHER_SH: Final = np.empty((0, 1, 3), np.float32)
 
 
 @final
@@ -101,7 +101,7 @@ class PlyFrames:
     """
 
     def __init__(self) -> None:
-        self._sh = _NO_SH
+        self._sh = _EMPTY_HIGHER_SH
         self._rows: np.ndarray = np.empty(0, np.uint8)
 
     def write(self, path: FilePath, splats: Splats) -> None:
@@ -109,16 +109,16 @@ class PlyFrames:
         if splats.sh.nbytes > _MAX_SH_BYTES:
             write_ply(path, splats)
             return
-        keeps_colors = splats.sh is self._sh
+        does_keep_colors = splats.sh is self._sh
         with naming(path):
-            require_splats(splats, checked_fields=("sh",) if keeps_colors else ())
+            require_splats(splats, checked_fields=("sh",) if does_keep_colors else ())
         blocks = _splat_blocks(splats)
         encoding: Encoding = "binary_little_endian"
-        if not keeps_colors:
-            self._sh = _NO_SH  # until the rows hold them
+        if not does_keep_colors:
+            self._sh = _EMPTY_HIGHER_SH  # until the rows hold them
             self._rows = np.empty(len(splats), _row_type(blocks, encoding))
         changed = [
-            block for block in blocks if not (keeps_colors and block.names[0].startswith("f_"))
+            block for block in blocks if not (does_keep_colors and block.names[0].startswith("f_"))
         ]
         with replace_file(path) as file:
             file.write(_header(blocks, len(splats), encoding, splats))

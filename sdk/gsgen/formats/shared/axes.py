@@ -28,14 +28,14 @@ def axis_signs(axes: str) -> AxisSigns:
     Raises:
         ValueInvalid: ``axes`` is not R or L, then U or D, then F or B.
     """
-    letters = axes.upper()
-    if len(letters) != 3 or any(
-        letter not in pair for letter, pair in zip(letters, ("RL", "DU", "FB"), strict=True)
+    axis_letters = axes.upper()
+    if len(axis_letters) != 3 or any(
+        letter not in pair for letter, pair in zip(axis_letters, ("RL", "DU", "FB"), strict=True)
     ):
         raise ValueInvalid(
             quoted(axes), where="axes", expected="R or L, U or D, F or B, such as RUB or RDF"
         )
-    x, y, z = (1 if letter in "RDF" else -1 for letter in letters)
+    x, y, z = (1 if letter in "RDF" else -1 for letter in axis_letters)
     return x, y, z
 
 
@@ -47,13 +47,15 @@ def flip(splats: Splats, signs: AxisSigns) -> Splats:
     x, y, z = signs
     return replace(
         splats,
-        position=_multiply(splats.position, np.array(signs, np.float32)),
-        rotation=_multiply(splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)),
-        sh=_multiply(splats.sh, sh_signs(splats.degree, signs)[:, None]),
+        position=_multiply_by_signs(splats.position, np.array(signs, np.float32)),
+        rotation=_multiply_by_signs(
+            splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)
+        ),
+        sh=_multiply_by_signs(splats.sh, sh_signs(splats.degree, signs)[:, None]),
     )
 
 
-def _multiply(
+def _multiply_by_signs(
     array: Float32[np.ndarray, "..."], signs: Float32[np.ndarray, "..."]
 ) -> Float32[np.ndarray, "..."]:
     product = array * signs
@@ -70,6 +72,6 @@ def sh_signs(degree: int, signs: AxisSigns) -> Float32[np.ndarray, " k"]:
 def _sh_sign(degree: int, order: int, signs: AxisSigns) -> int:
     x, y, z = signs
     sine = order < 0
-    odd_in_x = (order % 2 == 1) != sine  # cos m(π − φ) = (−1)^m cos mφ, and −(−1)^m for sin
-    odd_in_z = (degree + order) % 2 == 1
-    return (x if odd_in_x else 1) * (y if sine else 1) * (z if odd_in_z else 1)
+    is_odd_in_x = (order % 2 == 1) != sine  # cos m(π − φ) = (−1)^m cos mφ, and −(−1)^m for sin
+    is_odd_in_z = (degree + order) % 2 == 1
+    return (x if is_odd_in_x else 1) * (y if sine else 1) * (z if is_odd_in_z else 1)

@@ -59,15 +59,15 @@ def require_length(data: Data, start: int, needed: int, where: str) -> None:
         )
 
 
-def not_recognised(data: Data, expected: str, shown: str) -> FormatNotRecognised:
+def not_recognised(data: Data, expected: str, magic_text: str) -> FormatNotRecognised:
     """Return the error about a file whose content is not that of the format that is read.
 
     Args:
         data: The file, or its beginning.
         expected: The expected content.
-        shown: The first bytes, for content of no known kind.
+        magic_text: The first bytes, for content of no known kind.
     """
     kind = kind_of(bytes(data[:RECOGNITION_BYTES]))
     if kind is None:
-        return FormatNotRecognised(shown, where="first bytes", expected=expected)
+        return FormatNotRecognised(magic_text, where="first bytes", expected=expected)
     return FormatNotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)

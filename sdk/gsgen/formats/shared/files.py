@@ -56,7 +56,7 @@ def open_file(path: FilePath) -> Iterator[BinaryIO]:
             yield BytesIO(path.data)
             return
         try:
-            _require_regular(path)
+            _require_regular_file(path)
             with open(path, "rb") as file:
                 yield file
         except OSError as error:
@@ -118,7 +118,7 @@ def make_folder(path: FilePath) -> None:
             raise FileUnwritable(f"the file cannot be written: {write_fault(error)}") from error
 
 
-def _require_regular(path: FilePath) -> None:
+def _require_regular_file(path: FilePath) -> None:
     try:
         status = os.stat(path)
     except ValueError as error:  # a NUL byte in the path

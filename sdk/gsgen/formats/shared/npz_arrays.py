@@ -31,16 +31,16 @@ def unpacking(where: str) -> Iterator[None]:
     except OSError as error:
         if error.errno != errno.EINVAL:  # EINVAL is an offset before the start of the file
             raise
-        raise _damaged_error(where, error) from error
+        raise _damaged_archive_error(where, error) from error
     except MemoryError as error:
         raise SizeExceeded("reading takes more memory than is available", where=where) from error
     # The libraries document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
-        raise _damaged_error(where, error) from error
+        raise _damaged_archive_error(where, error) from error
 
 
-def _damaged_error(where: str, error: Exception) -> ArchiveDamaged:
+def _damaged_archive_error(where: str, error: Exception) -> ArchiveDamaged:
     return ArchiveDamaged(
         f"the archive cannot be unpacked ({type(error).__name__}: {first_line(str(error))})",
         where=where,

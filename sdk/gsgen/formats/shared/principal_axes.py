@@ -61,16 +61,18 @@ def variances_and_quaternions(
     quaternions = np.empty((len(covariance), 4), np.float32)
     for start in range(0, len(covariance), _CHUNK_ROWS):
         part = slice(start, start + _CHUNK_ROWS)
-        diagonal, quaternion = _diagonalize(covariance[part].T.astype(np.float64, order="C"))
+        diagonal, quaternion = _diagonalize_covariance(
+            covariance[part].T.astype(np.float64, order="C")
+        )
         _sort_axes(diagonal, quaternion)
-        _choose_smallest_rotation(quaternion)
+        _choose_smallest_rotation_form(quaternion)
         variances[:, part] = diagonal
         for component in range(4):  # one after the other, several times as fast as turn.T
             quaternions[part, component] = quaternion[component]
     return variances, quaternions
 
 
-def _diagonalize(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
+def _diagonalize_covariance(covariance: Float64[np.ndarray, "6 n"]) -> tuple[Vectors, Quaternions]:
     """Return eigenvalues, and eigenvectors as quaternions that are not normalised.
 
     1. The eigenvalue that is farthest from the two others has a well-conditioned eigenvector v.
@@ -202,7 +204,7 @@ def _sort_axes(variances: Vectors, quaternion: Quaternions) -> None:
         _rotate_about_axis(quaternion, axis, is_swapped)
 
 
-def _choose_smallest_rotation(quaternion: Quaternions) -> None:
+def _choose_smallest_rotation_form(quaternion: Quaternions) -> None:
     """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component.
 
     Half turns about own axes keep the covariance. The quaternions are normalised, in place.

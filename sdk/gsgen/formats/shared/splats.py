@@ -100,10 +100,10 @@ class Splats:
 def _box(position: Float32[np.ndarray, "n 3"]) -> str:
     if not len(position):
         return "empty"
-    return f"{_corner(position.min(axis=0))} to {_corner(position.max(axis=0))}"
+    return f"{_corner_text(position.min(axis=0))} to {_corner_text(position.max(axis=0))}"
 
 
-def _corner(point: np.ndarray) -> str:
+def _corner_text(point: np.ndarray) -> str:
     return f"({', '.join(f'{value:.3g}' for value in point)})"
 
 

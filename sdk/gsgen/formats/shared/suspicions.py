@@ -16,8 +16,8 @@ from gsgen.formats.shared.splats import Splats
 SAMPLED_ROWS: Final = 1 << 13
 """The rows that are looked at, evenly spread over the file."""
 
-_FEWEST_ROWS: Final = 16
-_MOST_SPACINGS: Final = 3.0  # the usual size of splats, in distances between them
+_MIN_ROW_COUNT: Final = 16
+_MAX_SIZE_IN_SPACINGS: Final = 3.0  # the usual size of splats, in distances between them
 
 
 def suspicions(splats: Splats, count: int | None = None) -> list[str]:
@@ -30,7 +30,7 @@ def suspicions(splats: Splats, count: int | None = None) -> list[str]:
     count = len(splats) if count is None else count
     sample = rows_of(splats, slice(None, None, max(1, len(splats) // SAMPLED_ROWS)))
     sample = rows_of(sample, valid_rows(sample))
-    if len(sample) < _FEWEST_ROWS:
+    if len(sample) < _MIN_ROW_COUNT:
         return []
     messages = []
     if _has_activated_scales(sample, count):
@@ -57,7 +57,7 @@ def _has_activated_scales(sample: Splats, count: int) -> bool:
         return False
     low, high = np.percentile(sample.position, [2, 98], axis=0)
     spacing = float(np.linalg.norm(high - low)) / math.sqrt(count)
-    return float(np.exp(np.median(sample.log_scale))) > _MOST_SPACINGS * spacing
+    return float(np.exp(np.median(sample.log_scale))) > _MAX_SIZE_IN_SPACINGS * spacing
 
 
 def warn_of_suspicions(

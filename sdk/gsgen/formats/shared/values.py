@@ -20,23 +20,25 @@ def require_rows(count: int, where: str) -> None:
 
 
 def require_finite(
-    table: Float32[np.ndarray, "n m"], labels: Sequence[str], infinite: Sequence[float] = ()
+    table: Float32[np.ndarray, "n m"],
+    labels: Sequence[str],
+    allowed_infinities: Sequence[float] = (),
 ) -> None:
-    """Raise ValueInvalid unless all values are finite or in ``infinite``, e.g. -inf."""
+    """Raise ValueInvalid unless all values are finite or in ``allowed_infinities``, e.g. -inf."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(table.sum()):  # a NaN or an infinity would make the sum non-finite
             return
-    expected = " or ".join(["a finite number", *(f"{value:+}" for value in infinite)])
+    expected = " or ".join(["a finite number", *(f"{value:+}" for value in allowed_infinities)])
     for column, label in zip(table.T, labels, strict=True):
-        _require_valid(finite_or_allowed(column, infinite), column, label, expected)
+        _require_valid(finite_or_allowed(column, allowed_infinities), column, label, expected)
 
 
 def finite_or_allowed(
-    values: Float32[np.ndarray, "..."], infinite: Sequence[float] = ()
+    values: Float32[np.ndarray, "..."], allowed_infinities: Sequence[float] = ()
 ) -> Bool[np.ndarray, "..."]:
-    """Return the mask of values that are finite or in ``infinite``, e.g. -inf."""
+    """Return the mask of values that are finite or in ``allowed_infinities``, e.g. -inf."""
     is_valid = np.isfinite(values)
-    for value in infinite:
+    for value in allowed_infinities:
         is_valid |= values == value
     return np.asarray(is_valid)
 

@@ -30,20 +30,24 @@ def make_codebook(
         ends = np.array([flat_values.min(), flat_values.max()])
         flat_values = np.concatenate([flat_values[:: -(-len(flat_values) // _MAX_SAMPLES)], ends])
     order = np.argsort(flat_values, kind="stable")
-    ascending = flat_values[order].astype(np.float64)
-    weight = np.ones(len(ascending)) if weights is None else weights[order].astype(np.float64)
-    distinct_values = np.unique(ascending.astype(np.float32))
+    ascending_values = flat_values[order].astype(np.float64)
+    weight = (
+        np.ones(len(ascending_values)) if weights is None else weights[order].astype(np.float64)
+    )
+    distinct_values = np.unique(ascending_values.astype(np.float32))
     if len(distinct_values) <= CODEBOOK_SIZE:
         return np.concatenate(
             [distinct_values, np.repeat(distinct_values[-1:], CODEBOOK_SIZE - len(distinct_values))]
         )
-    total, moment = (np.append(0, np.cumsum(terms)) for terms in (weight, weight * ascending))
-    codebook = _initial_codebook(ascending)
+    total, moment = (
+        np.append(0, np.cumsum(terms)) for terms in (weight, weight * ascending_values)
+    )
+    codebook = _initial_codebook(ascending_values)
     for _ in range(_MAX_LLOYD_ITERATIONS):
-        inner_edges = np.searchsorted(ascending, (codebook[1:] + codebook[:-1]) / 2)
-        edges = np.concatenate([[0], inner_edges, [len(ascending)]])
-        cell_weight = np.diff(total[edges])
-        means = np.diff(moment[edges]) / np.maximum(cell_weight, np.finfo(np.float64).tiny)
+        inner_edges = np.searchsorted(ascending_values, (codebook[1:] + codebook[:-1]) / 2)
+        cluster_edges = np.concatenate([[0], inner_edges, [len(ascending_values)]])
+        cell_weight = np.diff(total[cluster_edges])
+        means = np.diff(moment[cluster_edges]) / np.maximum(cell_weight, np.finfo(np.float64).tiny)
         updated_codebook = np.sort(np.where(cell_weight > 0, means, codebook))
         if np.array_equal(updated_codebook, codebook):
             break
@@ -59,10 +63,10 @@ def nearest_codes(
     return np.searchsorted(midpoints, values).astype(np.uint8)
 
 
-def _initial_codebook(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
+def _initial_codebook(ascending_values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
     """Return an initial codebook for ``values``, spaced by the cube root of their density."""
-    ranks = np.linspace(0, len(ascending) - 1, _KNOT_COUNT + 1).astype(np.int64)
-    codebook_knots = ascending[ranks]
+    ranks = np.linspace(0, len(ascending_values) - 1, _KNOT_COUNT + 1).astype(np.int64)
+    codebook_knots = ascending_values[ranks]
     cumulative_density = np.append(0, np.cumsum(np.diff(codebook_knots) ** (2 / 3)))
     quantiles = (np.arange(CODEBOOK_SIZE) + 0.5) / CODEBOOK_SIZE
     return np.asarray(

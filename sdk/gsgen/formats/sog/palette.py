@@ -35,8 +35,8 @@ def training_step(count: int) -> int:
 def make_palette(rows: Rows, size: int) -> Rows:
     """Return at most ``size`` palette entries that quantise rows of SH with small squared error."""
     # Real scenes have clusters, which a tree finds; noise has none, and rows of it start better.
-    spaced_rows = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
-    starts = [_split_clusters(candidate, size) for candidate in (rows, spaced_rows)]
+    evenly_spaced_rows = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
+    starts = [_split_clusters(candidate, size) for candidate in (rows, evenly_spaced_rows)]
     rounds = [_refined_palette(rows, palette, _TRIAL_ROUNDS) for palette in starts]
     palette, _ = min(rounds, key=lambda entry: entry[1])
     return _refined_palette(rows, palette, _LLOYD_ROUNDS)[0]
@@ -66,10 +66,12 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
     members = [np.arange(start, min(start + block, len(palette))) for start in starts]
-    neighbour_blocks = np.argsort(_distances(centres, centres), axis=1, kind="stable")
+    neighbour_blocks = np.argsort(_squared_distances(centres, centres), axis=1, kind="stable")
     neighbour_blocks = neighbour_blocks[:, : -(-_MIN_SEARCHED_ENTRIES // block)]
     parts = (values[start : start + _CHUNK_ROWS] for start in range(0, len(values), _CHUNK_ROWS))
-    nearest_block = np.concatenate([_distances(part, centres).argmin(axis=1) for part in parts])
+    nearest_block = np.concatenate(
+        [_squared_distances(part, centres).argmin(axis=1) for part in parts]
+    )
     order = np.argsort(nearest_block, kind="stable")
     block_starts = np.searchsorted(nearest_block[order], np.arange(len(starts) + 1))
     labels = np.empty(len(values), np.int64)
@@ -78,7 +80,7 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
         entries = palette[candidates]
         for start in range(block_starts[index], block_starts[index + 1], _CHUNK_ROWS):
             rows = order[start : min(start + _CHUNK_ROWS, block_starts[index + 1])]
-            labels[rows] = candidates[_distances(values[rows], entries).argmin(axis=1)]
+            labels[rows] = candidates[_squared_distances(values[rows], entries).argmin(axis=1)]
     return labels
 
 
@@ -98,7 +100,9 @@ def _split_clusters(rows: Rows, size: int) -> Rows:
         most = min(-(-len(candidates) // divisor), size - len(starts))
         split_labels = candidates[np.argsort(-error[candidates], kind="stable")[:most]]
         is_split = np.isin(np.arange(len(starts)), split_labels)
-        is_positive_side = (_projections(centred, variances, starts, label) > 0) & is_split[label]
+        is_positive_side = (_random_projections(centred, variances, starts, label) > 0) & is_split[
+            label
+        ]
         moved = label * 2 + is_positive_side
         order = np.argsort(moved, kind="stable")
         rows, cluster_count = rows[order], len(starts)
@@ -108,7 +112,7 @@ def _split_clusters(rows: Rows, size: int) -> Rows:
     return _group_means(rows, starts)
 
 
-def _projections(
+def _random_projections(
     centred: Rows, variances: Rows, starts: Int64[np.ndarray, " k"], label: Int64[np.ndarray, " n"]
 ) -> Float32[np.ndarray, " n"]:
     """Project each row onto the principal axis of its cluster, found by power iteration."""
@@ -135,7 +139,7 @@ def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
     return moved
 
 
-def _distances(
+def _squared_distances(
     rows: Rows, entries: Rows
 ) -> Float32[np.ndarray, "n k"] | Float64[np.ndarray, "n k"]:
     """Return squared distances of SH rows to palette entries, minus each row's squared length."""

@@ -113,9 +113,9 @@ def written_bytes(path: FilePath) -> int:
 
 def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
     names = set(archive.namelist())
-    metas = [name for name in names if name.rpartition("/")[2] == META_FILE]
+    meta_file_names = [name for name in names if name.rpartition("/")[2] == META_FILE]
     # Archives made of a folder hold its name, too.
-    folder = min(metas, key=len).removesuffix(META_FILE) if metas else ""
+    folder = min(meta_file_names, key=len).removesuffix(META_FILE) if meta_file_names else ""
 
     def fetch(name: str, limit: int) -> bytes:
         name = folder + name
@@ -185,7 +185,7 @@ def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
     constant = meta.codebook("sh0")[color[:, :3]]
     splats = Splats(
         position=_positions(meta, low, high),
-        rotation=_rotations(image("quats")),
+        rotation=_decode_rotations(image("quats")),
         log_scale=meta.codebook("scales")[image("scales")[:, :3]],
         logit_opacity=logit(color[:, 3] / np.float32(255)),
         sh=np.concatenate([constant[:, None], _decode_higher_sh_bands(meta, fetch_image)], axis=1),
@@ -196,12 +196,12 @@ def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
 
 def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"]:
     fractions = (low[:, :3] | high[:, :3].astype(np.int64) << 8) / 65535
-    least, most = meta.triple("means", "mins"), meta.triple("means", "maxs")
-    stored = least * (1 - fractions) + most * fractions
+    least_values, most = meta.triple("means", "mins"), meta.triple("means", "maxs")
+    stored = least_values * (1 - fractions) + most * fractions
     return np.asarray(np.sign(stored) * np.expm1(np.abs(stored)), np.float32)
 
 
-def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
+def _decode_rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
     """Decode quaternions from the pixels of a SOG image; an invalid tag gives the identity."""
     tag = image[:, 3].astype(np.int64) - QUATERNION_TAG
     smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)

@@ -47,7 +47,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         )
     ranges: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for leaf in _leaves(data.get("tree")):
-        index, offset, count = _finest_range(leaf, len(names))
+        index, offset, count = _finest_leaf_range(leaf, len(names))
         ranges[index].append((offset, count))
     parts: list[Splats] = []
     for index in sorted(ranges):
@@ -117,7 +117,7 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
             yield node
 
 
-def _finest_range(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
+def _finest_leaf_range(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
     """Return file index, first row and row count of the finest level of a streamed SOG's leaf."""
     levels = leaf.get("lods")
     numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []

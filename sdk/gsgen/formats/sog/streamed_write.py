@@ -24,7 +24,7 @@ from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.meta import META_FILE
 
 _TOP_BIT: Final = 47  # of a Morton code of three 16-bit numbers
-_LEVEL_RATIO: Final = 4  # splats of a level for each splat of the next one
+_SPLAT_RATIO_OF_LEVELS: Final = 4  # splats of a level for each splat of the next one
 _BOUND_DEVIATIONS: Final = 3
 
 WriteSplats = Callable[[Path, Splats], None]
@@ -150,7 +150,7 @@ def _files(
     file_splats = 0
     for leaf in leaves:
         if level:
-            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _LEVEL_RATIO))
+            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _SPLAT_RATIO_OF_LEVELS))
         if members and file_splats + len(leaf.splats) > file_rows:
             yield members
             members, file_splats = [], 0

@@ -101,7 +101,7 @@ def write_sog(path: FilePath, splats: Splats) -> None:
         write_sog_parts(path, InMemory(splats))
         return
     with naming(path):  # before the first folder is made
-        _require_encodable(InMemory(splats))
+        _require_encodable_splats(InMemory(splats))
     nearest_codes = grid_codes(_stored_positions(splats.position)[0])
     order = np.argsort(nearest_codes, kind="stable")
 
@@ -118,7 +118,7 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
     ``is_sorted``, the splats keep their order.
     """
     with naming(path):
-        _require_encodable(splats)
+        _require_encodable_splats(splats)
         files = _files(splats, is_sorted=is_sorted)
     if is_meta(path):
         for name, content in files.items():  # meta.json is the last
@@ -130,7 +130,7 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
             archive.writestr(zipfile.ZipInfo(name), content)
 
 
-def _require_encodable(splats: SplatParts) -> None:
+def _require_encodable_splats(splats: SplatParts) -> None:
     """Raise NotSupported for harmonics above degree 3, and more splats than an image holds."""
     if splats.degree > _MAX_SH_DEGREE:
         raise NotSupported(
@@ -151,7 +151,7 @@ def sog_order(splats: Splats) -> Int64[np.ndarray, " n"]:
 
 
 @final
-class _Images:
+class _ImageWriter:
     """The images of a SOG file, whose pixels follow the splats in Morton order.
 
     Attributes:
@@ -210,7 +210,7 @@ def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
 def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     """Return the content of each file of a SOG, meta.json last."""
     steps, low, high = _stored_positions(_column(splats, lambda part: part.position))
-    images = _Images(np.arange(len(steps)) if is_sorted else grid_order(steps))
+    images = _ImageWriter(np.arange(len(steps)) if is_sorted else grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED
@@ -231,19 +231,19 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     return images.files | {META_FILE: json.dumps(meta, separators=(",", ":")).encode()}
 
 
-def _add_position_images(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
+def _add_position_images(steps: Int64[np.ndarray, "n 3"], images: _ImageWriter) -> dict[str, Any]:
     """Encode positions as two SOG images, of low and high bytes; return their JSON description."""
     low = images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8))
     high = images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8))
     return {"files": [low, high]}
 
 
-def _add_rotations(rotation: Float32[np.ndarray, "n 4"], images: _Images) -> dict[str, Any]:
+def _add_rotations(rotation: Float32[np.ndarray, "n 4"], images: _ImageWriter) -> dict[str, Any]:
     """Encode rotations as an image of a SOG file; return its JSON description."""
     return {"files": [images.add("quats.webp", lambda rows: _packed_rotations(rotation[rows]))]}
 
 
-def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
+def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _ImageWriter) -> dict[str, Any]:
     """Encode scales as an image of a SOG file; return its JSON description."""
     code_values = make_codebook(log_scale)
     name = images.add("scales.webp", lambda rows: nearest_codes(log_scale[rows], code_values))
@@ -251,7 +251,9 @@ def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[
 
 
 def _add_colors(
-    color: Float32[np.ndarray, "n 3"], logit_opacity: Float32[np.ndarray, " n"], images: _Images
+    color: Float32[np.ndarray, "n 3"],
+    logit_opacity: Float32[np.ndarray, " n"],
+    images: _ImageWriter,
 ) -> dict[str, Any]:
     """Encode colours and opacities as an image of a SOG file; return its JSON description."""
     code_values = make_codebook(color)
@@ -299,7 +301,7 @@ def _packed_rotations(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray,
     )
 
 
-def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
+def _add_palette(splats: SplatParts, images: _ImageWriter) -> dict[str, Any]:
     """Encode the SH palette and the splats' palette indices as SOG images; return their JSON.
 
     The palette is rounded to its codebook before each splat takes the nearest entry.

@@ -43,7 +43,7 @@ NEWEST_GZIP_VERSION, NEWEST_VERSION = 3, 4
 _ANTIALIASED_FLAG, _EXTENDED_FLAG = 1, 2
 _FILE_HEADER, _FILE_HEADER_WITH_TABLE = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
-_RECORD = struct.Struct("<II")
+_RECORD_HEADER_STRUCT = struct.Struct("<II")
 _MAX_SPLATS_PER_NINE_BYTES = 1024
 
 _MAX_SH_DEGREE, _MAX_FRACTIONAL_BITS = 4, 24
@@ -159,7 +159,7 @@ def _unpack_uncompressed(pieces: Iterator[bytes], size: int, max_bytes: int) -> 
             expected=f"{end} bytes",
             hint=DOWNLOAD_HINT,
         )
-    signs = _extensions(bytes(trailing_bytes)) if flags & _EXTENDED_FLAG else RDF_RUB
+    signs = _read_extension_signs(bytes(trailing_bytes)) if flags & _EXTENDED_FLAG else RDF_RUB
     streams, offset = {}, _FILE_HEADER.size
     for name, length in parts.items():
         streams[name] = read_array(body, np.uint8, (length,), offset, name)
@@ -203,7 +203,7 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         )
     require_length(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
     signs = (
-        _extensions(bytes(data[_FILE_HEADER_WITH_TABLE.size : toc]))
+        _read_extension_signs(bytes(data[_FILE_HEADER_WITH_TABLE.size : toc]))
         if flags & _EXTENDED_FLAG
         else RDF_RUB
     )
@@ -283,13 +283,13 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         )
 
 
-def _extensions(records: bytes) -> AxisSigns:
+def _read_extension_signs(records: bytes) -> AxisSigns:
     """Return the axis signs that SPZ extension records declare; warn about unknown records."""
     signs, offset = RDF_RUB, 0
     while offset < len(records):
-        require_length(records, offset, _RECORD.size, "extension record")
-        kind, length = _RECORD.unpack_from(records, offset)
-        offset += _RECORD.size
+        require_length(records, offset, _RECORD_HEADER_STRUCT.size, "extension record")
+        kind, length = _RECORD_HEADER_STRUCT.unpack_from(records, offset)
+        offset += _RECORD_HEADER_STRUCT.size
         require_length(records, offset, length, f"extension {kind:#x}")
         if kind == _COORDINATES_EXTENSION:
             signs = _declared_signs(records[offset : offset + length])

@@ -32,7 +32,7 @@ SH_BITS = (5, 4)
 SPZ_AXES = "RUB"
 """The axes of the format: x right, y up, z back."""
 
-_LARGEST_HALF = 65504.0
+_MAX_FLOAT16 = 65504.0
 _READ_BYTES = 1 << 20
 
 
@@ -198,7 +198,7 @@ def write_spz_parts(
 def _fractional_bits(max_coordinate: float, version: int) -> int:
     """Return how many fractional bits, up to 12, SPZ positions can have without overflow."""
     uses_float16 = version <= streams.HALF_POSITIONS
-    limit = _LARGEST_HALF if uses_float16 else float(streams.COORDINATE_LIMIT)
+    limit = _MAX_FLOAT16 if uses_float16 else float(streams.COORDINATE_LIMIT)
     if max_coordinate > limit:
         raise ValueInvalid(
             f"the largest coordinate is {max_coordinate:g}",

@@ -6,10 +6,10 @@ from gsgen.formats.shared.bytes import DOWNLOAD_HINT
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported
 
 _CHUNK_BYTES = 1 << 20
-_MAX_WINDOW = 1 << 27
+_MAX_WINDOW_BYTES = 1 << 27
 
 
-def _package() -> Any:
+def _zstd_package() -> Any:
     try:
         import zstandard
     except ImportError as error:
@@ -22,10 +22,10 @@ def _package() -> Any:
 
 def unpack(data: bytes, size: int, where: str) -> bytearray:
     """Unpack zstd data to ``size`` bytes, within a memory limit."""
-    zstandard = _package()
+    zstandard = _zstd_package()
     content = bytearray()
     try:
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
         with unpacker.stream_reader(data, read_across_frames=False) as reader:
             while len(content) <= size:
                 piece = reader.read(min(_CHUNK_BYTES, size + 1 - len(content)))
@@ -49,4 +49,4 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
 
 def pack(data: bytes) -> bytes:
     """Return ``data`` compressed as a zstd frame, with its size and a checksum."""
-    return bytes(_package().ZstdCompressor(level=12).compress(data))
+    return bytes(_zstd_package().ZstdCompressor(level=12).compress(data))

@@ -70,8 +70,8 @@ def expect_spread(
     scale: Tensor | None, rotation: Tensor | None, covariance: Tensor | None, where: str
 ) -> None:
     """Raise unless Gaussians have either scales and rotations, or covariances."""
-    has_parts = (scale is not None, rotation is not None, covariance is not None)
-    if has_parts not in ((True, True, False), (False, False, True)):
+    has_covariance_parts = (scale is not None, rotation is not None, covariance is not None)
+    if has_covariance_parts not in ((True, True, False), (False, False, True)):
         raise GeneratorInvalid(
             "the extent is missing or given twice, expected either scale and rotation, or covariance",
             where=where,

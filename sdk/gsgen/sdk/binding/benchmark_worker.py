@@ -53,7 +53,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
     with FrameSession(
         job["model"], provider=job["provider"], sizes=job["sizes"], capture=job["capture"]
     ) as session:
-        opened_at = time.perf_counter()
+        opening_time = time.perf_counter()
         probes = session.samples()
         _read_outputs(session, session.run())
         first = time.perf_counter() - start
@@ -64,7 +64,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
             ]
         )[_WARM_UP_FRAMES:]
         return _benchmark_facts(session, times) | {
-            "create_seconds": opened_at - start,
+            "create_seconds": opening_time - start,
             "first_frame_seconds": first,
         }
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
-_VIEWPORT = ("width", "height")
+_VIEWPORT_INPUT_NAMES = ("width", "height")
 # The far plane of a camera without one, in multiples of the near plane: 1000 units for 0.01.
 FAR_RATIO = 1e5
 
@@ -85,8 +85,8 @@ def camera_values(camera: Camera) -> dict[str, np.ndarray]:
         raise InputInvalid(message, where="camera.view")
     values = {"view": world_to_camera, "projection": np.asarray(projection)}
     values["camera_position"] = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
-    if all(hasattr(camera, name) for name in _VIEWPORT):
-        values["viewport"] = np.asarray([getattr(camera, name) for name in _VIEWPORT])
+    if all(hasattr(camera, name) for name in _VIEWPORT_INPUT_NAMES):
+        values["viewport"] = np.asarray([getattr(camera, name) for name in _VIEWPORT_INPUT_NAMES])
     return values
 
 

@@ -95,7 +95,7 @@ class Frame:
         """The frame's packed Gaussians, [count, 10], without padding rows, in the model's dtype."""
         outputs = self._declared()
         if outputs.gaussians is None:
-            raise _undeclared("gaussians")
+            raise _undeclared_output_error("gaussians")
         return self[outputs.gaussians.name][: self.count]
 
     @property
@@ -103,7 +103,7 @@ class Frame:
         """The SH or RGB of the frame's Gaussians without padding, [count, C], in model dtype."""
         outputs = self._declared()
         if outputs.appearance is None:
-            raise _undeclared("appearance")
+            raise _undeclared_output_error("appearance")
         return self[outputs.appearance.name][: self.count]
 
     @property
@@ -111,7 +111,7 @@ class Frame:
         """The frame's packed cells (groups of Gaussians), [cells, 10], without padding cells."""
         outputs = self._declared()
         if outputs.cells is None:
-            raise _undeclared("cells")
+            raise _undeclared_output_error("cells")
         return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
 
     def gaussians(self) -> DecodedGaussians:
@@ -122,7 +122,7 @@ class Frame:
         """
         appearance = self._declared().appearance
         if appearance is None:
-            raise _undeclared("appearance")
+            raise _undeclared_output_error("appearance")
         with self.session.hold_frame(self.number) if self.copies is None else nullcontext():
             return decode(self.rows, self.appearance, appearance.space)
 
@@ -134,11 +134,11 @@ class Frame:
     def _declared(self) -> GeneratorOutputs:
         manifest = self.session.manifest
         if not isinstance(manifest, GeneratorManifest):
-            raise _undeclared("gaussians")
+            raise _undeclared_output_error("gaussians")
         return manifest.outputs
 
 
-def _undeclared(output: str) -> LayoutMismatch:
+def _undeclared_output_error(output: str) -> LayoutMismatch:
     message = f"no manifest declares the output that holds the {output}"
     hint = "Embed one (`gsgen inspect --emit-manifest`), or read outputs by name: frame[NAME]."
     return LayoutMismatch(message, where="frame", hint=hint)

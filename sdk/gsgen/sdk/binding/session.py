@@ -173,13 +173,13 @@ class FrameSession:
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
         """The inputs of the model by name: dtype, shape and input role."""
-        self._require_open()
+        self._require_open_session()
         return MappingProxyType(self._ports)
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
         """The outputs of the model by name, as buffers with dtype and shape."""
-        return MappingProxyType(self._require_open().outputs)
+        return MappingProxyType(self._require_open_session().outputs)
 
     @property
     def constant_outputs(self) -> frozenset[str]:
@@ -216,7 +216,7 @@ class FrameSession:
         with self._lock:
             if values or camera is not None:
                 self.update(values, camera=camera)
-            bound = self._require_open()
+            bound = self._require_open_session()
             self._number += 1  # before the run: a failed run invalidates the last frame, too
             try:
                 bound.run()
@@ -245,7 +245,7 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            bound = self._require_open()
+            bound = self._require_open_session()
             updates = self._camera_updates(camera) if camera is not None else {}
             for key, value in (values or {}).items():
                 updates[self._names.find(key)] = value
@@ -261,7 +261,7 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            bound = self._require_open()
+            bound = self._require_open_session()
             arrays = {}
             for name, value in tensors.items():
                 if name not in self._ports:
@@ -285,7 +285,7 @@ class FrameSession:
         with self.hold_frame(number):
             self._output(name)
             try:
-                return self._require_open().read(name)
+                return self._require_open_session().read(name)
             except Exception as error:  # ONNX Runtime's errors share no base class of their own
                 raise translate_error(error) from error
 
@@ -303,7 +303,7 @@ class FrameSession:
             SessionClosed: The session was closed.
         """
         with self._lock:
-            self._require_open()
+            self._require_open_session()
             if number != self._number:
                 message = f"frame {number} was overwritten by frame {self._number}"
                 hint = "Read a frame before the next run, or run(…, copy=True)."
@@ -311,7 +311,7 @@ class FrameSession:
             yield
 
     def _output(self, name: str) -> Buffer:
-        outputs = self._require_open().outputs
+        outputs = self._require_open_session().outputs
         if name not in outputs:
             raise UnknownName.among("output", name, outputs, str(self.path))
         return outputs[name]
@@ -327,7 +327,7 @@ class FrameSession:
             self._end_own_process()
 
     def __enter__(self) -> Self:
-        self._require_open()
+        self._require_open_session()
         return self
 
     def __exit__(
@@ -342,7 +342,7 @@ class FrameSession:
         state = "closed" if self.closed else "captured" if self.captured else "not captured"
         return f"<FrameSession {self.path.name} on {self.provider}, {state}>"
 
-    def _require_open(self) -> "BoundSession | ConfinedSession":
+    def _require_open_session(self) -> "BoundSession | ConfinedSession":
         if self._bound is None:
             message = "the session was closed"
             raise SessionClosed(message, where=str(self.path), hint="Open a new FrameSession.")
@@ -350,7 +350,7 @@ class FrameSession:
 
 
 @atexit.register
-def _close_all() -> None:
+def _close_all_sessions() -> None:
     """Close all ONNX Runtime sessions before interpreter shutdown, in which drivers may crash."""
     for session in list(_open_sessions):
         session.close()

@@ -204,7 +204,9 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
     Raises:
         GeneratorInvalid: No centre is finite and visible.
     """
-    corners = [corner for r in references if not r.probe.zeros for corner in _corners(r)]
+    corners = [
+        corner for r in references if not r.probe.zeros for corner in _bounding_box_corners(r)
+    ]
     points = np.array(corners) if corners else np.zeros((0, 3))
     bounds = Bounds.from_points(points, _MEMORY_MARGIN)
     if bounds is None:
@@ -214,7 +216,7 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
     return bounds
 
 
-def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
+def _bounding_box_corners(reference: Reference) -> tuple[np.ndarray, ...]:
     """Return the bounding box of the visible Gaussians' centres, or None without any."""
     points = reference.gaussians.position[: reference.count][_visible_rows(reference)]
     return (points.min(axis=0), points.max(axis=0)) if len(points) else ()

@@ -24,7 +24,7 @@ _RANDOM_HINT = (
     "forward gives another result for the same inputs: it draws random numbers, reads a clock, "
     "or keeps state between frames."
 )
-_NOT_REWRITTEN = (
+_NOT_REWRITTEN_TEXT = (
     "The graph was not rewritten, and runtimes compute some of torch's operators differently: "
     "export with rewrites."
 )
@@ -77,7 +77,7 @@ def _hint(suspects: ParitySuspects, references: EagerRuns) -> str:
     if not references_equal(references[-1], second_run):
         return _RANDOM_HINT
     if not suspects.rewritten:
-        return _NOT_REWRITTEN
+        return _NOT_REWRITTEN_TEXT
     is_stable = _is_stable(suspects.generator, references)
     if is_stable is None:
         return f"{_UNTRACED_HINT}, or for digits that float32 loses."
@@ -105,15 +105,15 @@ def _lost_inputs(
     suspects: ParitySuspects, manifest: GeneratorManifest, references: EagerRuns, run: RunProbes
 ) -> list[str]:
     """Return the input roles that have an effect in torch, but not in the exported model."""
-    traced_probe, far_probe = suspects.traced, references.probes[-1]
+    probe_of_trace, far_probe = suspects.traced, references.probes[-1]
     changed_probes = [
         (role, probe)
-        for role, probes in dependency_probes(manifest, traced_probe, (far_probe,))
+        for role, probes in dependency_probes(manifest, probe_of_trace, (far_probe,))
         for probe in probes
     ]
     if not changed_probes:
         return []
-    probes = [traced_probe, *(probe for _, probe in changed_probes)]
+    probes = [probe_of_trace, *(probe for _, probe in changed_probes)]
     outputs_of_runs = run(probes)
     expected = [run_eager(suspects.generator, probe, checked=False) for probe in probes]
     return [

@@ -109,7 +109,7 @@ def export_post_process(
     manifest = _manifest(model, options.name, dtype)
     probes = list(_probes_of_sizes(model, manifest, dtype))
     progress("running the module in eager torch")
-    expected = [_run_eager(model, probe) for probe in probes]
+    expected = [_run_eager_model(model, probe) for probe in probes]
     # Step 2: tracing, in float32 if a search decides which nodes become float16.
     progress("tracing the graph")
     half = dtype == "float16"
@@ -231,7 +231,7 @@ def _dynamic_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
     return tuple(sizes if entry.role == "image" else {} for entry in inputs)
 
 
-def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]:
+def _run_eager_model(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]:
     """Run a post-process module in eager torch in float32, even for a float16 export."""
     tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
     image = call_module(model, tensors)

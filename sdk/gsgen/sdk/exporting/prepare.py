@@ -49,7 +49,7 @@ from gsgen.sdk.exporting.tracing.hazards import HazardWatch
 BOUNDS_PROBES = 8
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCE_FACTORS = {"close": 0.2, "far": 8.0}
-_TOLERANCES = Tolerances()
+_DEFAULT_TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +188,7 @@ def manifest_of(
         antialias=generator.antialias,
         blend="alpha" if generator.weighted_sum is None else "wsr",
         weighted_sum=generator.weighted_sum,
-        tolerances=_TOLERANCES,
+        tolerances=_DEFAULT_TOLERANCES,
     )
 
 

@@ -178,8 +178,11 @@ def _version_steps(subject: InspectedModel) -> RepairSteps:
 
 
 def _declare_opset(model: ir.Model, opset: int) -> None:
-    imports = [model.opset_imports, *(entry.opset_imports for entry in model.functions.values())]
-    for versions in imports:
+    opset_imports = [
+        model.opset_imports,
+        *(entry.opset_imports for entry in model.functions.values()),
+    ]
+    for versions in opset_imports:
         versions.update({domain: opset for domain in MAIN_DOMAIN if domain in versions})
 
 

@@ -17,7 +17,7 @@ from gsgen.sdk.errors import GeneratorInvalid
 
 _SPLAT_FIELDS = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
 _CELL_FIELDS = ("position", "visibility", "scale", "rotation", "covariance")
-_NOT_FINITE = (
+_NOT_FINITE_TEXT = (
     "Find the division, logarithm, root or norm that sees 0, and clamp what it takes, for example "
     "with .clamp(min=1e-6); gsgen.sdk.math.safe_normalize divides by a norm."
 )
@@ -65,7 +65,7 @@ def _refuse_not_finite(where: str, values: Tensor, inputs: str) -> None:
     raise GeneratorInvalid(
         f"{kinds} in {invalid_count:,} of {len(values):,} rows at {inputs!r}; expected finite numbers",
         where=where,
-        hint=_NOT_FINITE,
+        hint=_NOT_FINITE_TEXT,
     )
 
 

@@ -25,7 +25,7 @@ from gsgen.sdk.model_runs import run_in_groups
 from gsgen.sdk.parity import Comparison, ModelOutput, Parity, Reference, references_equal
 
 # Relative change of inputs that finds rows at a threshold: a few times the rounding of kernels.
-_PERTURBATION = 1e-5
+_INPUT_PERTURBATION = 1e-5
 _PAIR_COUNT = 3
 # Sums over many threads differ by this much, relatively, from run to run.
 _STATE_TOLERANCE = 1e-5
@@ -60,7 +60,7 @@ def check_parity(
         ignores_row_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )
     try:
-        for index, outputs in enumerate(_runs(path, manifest, references.probes)):
+        for index, outputs in enumerate(_outputs_of_probes(path, manifest, references.probes)):
             progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
             recorder.add_run(index, outputs)
             comparison.add(references[index], _output(outputs, manifest))
@@ -72,7 +72,10 @@ def check_parity(
         return parity
 
     def run(probes: list[Probe]) -> list[ModelOutput]:
-        return [_output(outputs, manifest).copy() for outputs in _runs(path, manifest, probes)]
+        return [
+            _output(outputs, manifest).copy()
+            for outputs in _outputs_of_probes(path, manifest, probes)
+        ]
 
     worst_field = max(parity.fields, key=lambda field: field.excess)
     element = "cell" if worst_field.field.startswith("cell") else "Gaussian"
@@ -92,17 +95,17 @@ def _perturbed_probes(probe: Probe) -> Iterator[Probe]:
     rng = np.random.default_rng(0)
     for _ in range(_PAIR_COUNT):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
-        for factor in (_PERTURBATION, -_PERTURBATION):
-            perturbed_inputs = {
+        for factor in (_INPUT_PERTURBATION, -_INPUT_PERTURBATION):
+            perturbed_input_values = {
                 name: (array * (1 + factor * signs[name])).astype(array.dtype)
                 if array.dtype.kind == "f"
                 else array
                 for name, array in probe.inputs.items()
             }
-            yield replace(probe, inputs=perturbed_inputs)
+            yield replace(probe, inputs=perturbed_input_values)
 
 
-def _runs(
+def _outputs_of_probes(
     path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]
 ) -> Iterator[dict[str, np.ndarray]]:
     """Yield a model's outputs for each set of test inputs; arrays are valid until the next one."""

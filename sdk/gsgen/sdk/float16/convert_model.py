@@ -133,7 +133,7 @@ def write_float16(
         )
     probes = probes_of(subject, {})
     names = [tensor.name for tensor in subject.graph.outputs]
-    _require_run(source, names, probes, limits.for_model(subject.file.weight_bytes))
+    _require_successful_run(source, names, probes, limits.for_model(subject.file.weight_bytes))
     model = load_model(source)
     external_weights = has_external_weights(model)
     normalize_model(model)
@@ -153,7 +153,7 @@ def write_float16(
     return replace(result, path=path)
 
 
-def _require_run(
+def _require_successful_run(
     source: Path, names: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
     """Raise if a model does not run within its limits; the search runs it without any."""
@@ -356,11 +356,15 @@ def _with_loosened_tolerances(
     vectors = []
     for vector in manifest.test_vectors:
         vector_tolerances = vector.tolerances or manifest.tolerances or Tolerances()
-        sums = {
+        summed_tolerances = {
             field.name: getattr(vector_tolerances, field.name) + getattr(allowed, field.name)
             for field in fields(Tolerances)
         }
-        vectors.append(replace(vector, tolerances=Tolerances(**sums)) if vector.outputs else vector)
+        vectors.append(
+            replace(vector, tolerances=Tolerances(**summed_tolerances))
+            if vector.outputs
+            else vector
+        )
     return replace(manifest, test_vectors=tuple(vectors))
 
 

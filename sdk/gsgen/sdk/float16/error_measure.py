@@ -73,7 +73,7 @@ class ErrorProbe:
         self._references = [self._reference(probe, self._step) for probe in probes]
         self._unseen_probes = _unseen_probes(manifest, probes)
         # A search with a smaller share of the tolerance asks for most choices again.
-        self._measured: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
+        self._measured_errors: dict[tuple[frozenset[int], ...], tuple[float, str]] = {}
         self.rounded = self.parity(frozenset())
         self._storage_excess = {field.field: field.excess for field in self.rounded.fields}
 
@@ -120,13 +120,13 @@ class ErrorProbe:
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
         """Return error / tolerance and name of the output field that float16 nodes affect most."""
         key = (frozenset(selected), frozenset(self.stored), self.model.unstepped)
-        if key not in self._measured:
+        if key not in self._measured_errors:
             error_shares = {
                 field.field: self._error_share(field) for field in self.parity(selected).fields
             }
             worst_field = max(error_shares, key=lambda field: error_shares[field], default="")
-            self._measured[key] = (error_shares.get(worst_field, 0.0), worst_field)
-        return self._measured[key]
+            self._measured_errors[key] = (error_shares.get(worst_field, 0.0), worst_field)
+        return self._measured_errors[key]
 
     def weights_error(self, stored: Collection[int]) -> tuple[float, str]:
         """Return error / tolerance and name of the output field that 16-bit weights affect most."""

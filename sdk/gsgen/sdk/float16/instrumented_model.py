@@ -75,9 +75,12 @@ class InstrumentedModel:
         self.weights = tuple(self._tables)
         self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
-        self._boundary_names, self._cached = list(part.boundary), _CachedConstants(b"", {})
+        self._boundary_names, self._cached_constants = (
+            list(part.boundary),
+            _CachedConstants(b"", {}),
+        )
         _add_table_inputs(copy, self.weights)
-        _instrument(copy, nodes, opset)
+        _instrument_model(copy, nodes, opset)
         self._session, self._constant_session = _session(copy, rounds=bool(nodes)), None
         if part.constant is not None:
             _add_table_inputs(part.constant, self.weights)
@@ -112,20 +115,20 @@ class InstrumentedModel:
         """Allow only float16, not evenly spaced 16-bit values, for the listed weight tables."""
         for table in self.unstepped ^ frozenset(tables):
             self._stored_tables.pop(self.weights[table], None)
-        self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
+        self.unstepped, self._cached_constants = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
         """Return weights, some rounded to 16 bits, and results of nodes that use only weights."""
         key = stored.tobytes()
-        if key != self._cached.key or not self._cached.arrays:
+        if key != self._cached_constants.key or not self._cached_constants.arrays:
             arrays = {
                 name: self._stored_table(name).decoded if half else array
                 for (name, array), half in zip(self._tables.items(), stored, strict=True)
             }
             if self._constant_session is not None:
                 arrays |= _run(self._constant_session, self._boundary_names, arrays)
-            self._cached = _CachedConstants(key, arrays)
-        return self._cached.arrays
+            self._cached_constants = _CachedConstants(key, arrays)
+        return self._cached_constants.arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +141,10 @@ class _CachedConstants:
 
 def tables(graph: ir.Graph) -> list[ir.Value]:
     """Return the large float32 weights of a model whose values fit the range of float16."""
-    return [value for value in graph.initializers.values() if _is_table(value)]
+    return [value for value in graph.initializers.values() if _is_lookup_table(value)]
 
 
-def _is_table(value: ir.Value) -> bool:
+def _is_lookup_table(value: ir.Value) -> bool:
     if value.dtype != FLOAT or value.const_value is None or value.is_graph_input():
         return False
     if value.const_value.size <= GUARD_ELEMENTS:
@@ -191,7 +194,7 @@ def _session(model: ir.Model, *, rounds: bool) -> Any:
             raise RewriteFailed(message, where="float16", hint=failure.hint) from error
 
 
-def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
+def _instrument_model(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
     graph = model.graph
     if not nodes:
         return

@@ -159,7 +159,7 @@ def merge_islands(
             node
             for node in nodes
             if node_key(node) not in keep
-            and _touches_retained(node, keep)
+            and _has_retained_neighbour(node, keep)
             and boundary.saved_casts(node, keep) > 0
         ]
         if not new_entries:
@@ -168,7 +168,7 @@ def merge_islands(
         added_entries.append(RetainedFloat32(node_key(new_entries[0]), "saves Casts"))
 
 
-def _touches_retained(node: ir.Node, keep: Collection[str]) -> bool:
+def _has_retained_neighbour(node: ir.Node, keep: Collection[str]) -> bool:
     neighbours = [value.producer() for value in node.inputs if value is not None]
     neighbours += [use.node for value in node.outputs for use in value.uses()]
     return any(neighbour is not None and node_key(neighbour) in keep for neighbour in neighbours)

@@ -85,19 +85,19 @@ def _choose_groups(
     # Step 3: the first `low` groups together were measured to fit.
     while low < high:
         midpoint = (low + high + 1) // 2
-        if measure_cost(_units_of(groups[:midpoint]))[0] <= allowed:
+        if measure_cost(_units_of_groups(groups[:midpoint]))[0] <= allowed:
             low = midpoint
         else:
             high = midpoint - 1
     quantized, retained = list(groups[:low]), []
     for group in groups[low:]:
         is_allowed = group.excess <= allowed and call_count() < budget
-        if is_allowed and measure_cost(_units_of([*quantized, group]))[0] <= allowed:
+        if is_allowed and measure_cost(_units_of_groups([*quantized, group]))[0] <= allowed:
             quantized.append(group)
         else:
             retained.append(group)
-    return SensitivitySearch(frozenset(_units_of(quantized)), tuple(retained), call_count())
+    return SensitivitySearch(frozenset(_units_of_groups(quantized)), tuple(retained), call_count())
 
 
-def _units_of(groups: Sequence[Sensitivity]) -> list[int]:
+def _units_of_groups(groups: Sequence[Sensitivity]) -> list[int]:
     return [unit for group in groups for unit in group.units]

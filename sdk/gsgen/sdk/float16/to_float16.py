@@ -248,7 +248,7 @@ def _store_table(
         "Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape
     )
     for node in (shifted_table, scaled, numbers):
-        _insert_after(graph, value, node)
+        _insert_node_after(graph, value, node)
     for node, index in readers:
         node.replace_input_with(index, shifted_table.outputs[0])
     _convert_value(graph, shifted_table.outputs[0], half_inputs, is_half=False)
@@ -258,12 +258,12 @@ def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
     """Cast a value between float16 and float32 for readers that need the other dtype."""
-    mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
-    if not mismatched:
+    mismatched_uses = [use for use in _readers(value) if (use in half_inputs) is not is_half]
+    if not mismatched_uses:
         return
     cast = _cast(value, FLOAT if is_half else FLOAT16)
-    _insert_after(graph, value, cast)
-    for node, index in mismatched:
+    _insert_node_after(graph, value, cast)
+    for node, index in mismatched_uses:
         node.replace_input_with(index, cast.outputs[0])
 
 
@@ -291,7 +291,7 @@ def _cast(value: ir.Value, dtype: ir.DataType) -> ir.Node:
     return node
 
 
-def _insert_after(graph: ir.Graph, value: ir.Value, node: ir.Node) -> None:
+def _insert_node_after(graph: ir.Graph, value: ir.Value, node: ir.Node) -> None:
     source_node = value.producer()
     if source_node is not None:
         graph.insert_after(source_node, node)

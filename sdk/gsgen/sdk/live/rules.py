@@ -27,7 +27,7 @@ def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
 
 LIVE_BACKEND = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
 
-_EXPECTED_RUN = "every frame of several, with inputs that change"
+_EXPECTED_RUN_TEXT = "every frame of several, with inputs that change"
 _live_rule = partial(rule, over="live", kinds=MANIFEST_KINDS)
 
 
@@ -123,4 +123,4 @@ def runs_on_webgpu(live: "LiveLevel") -> Iterator[Violation]:
     if stop is not None and not live.refusal:
         stop_text = "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
         actual = f"stopped {stop_text} ({stop.phase} session): {stop.message}"
-        yield Violation.at("graph", actual, _EXPECTED_RUN)
+        yield Violation.at("graph", actual, _EXPECTED_RUN_TEXT)

@@ -36,7 +36,7 @@ from gsgen.sdk.binding.providers.selection import (
 from gsgen.sdk.binding.providers.webgpu import DRIVER_HINT, AdapterMissing, find_adapter
 
 # The Vulkan loader logs the opened device if VK_LOADER_DEBUG is set.
-_OPENED_DEVICE = re.compile(r'Using "([^"]+)" with driver')
+_OPENED_DEVICE_PATTERN = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE_ADAPTER = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
 
 
@@ -97,7 +97,7 @@ def _find_provider(emit: EmitMessage) -> SourceOpener:
 def _try_adapter(opener: SourceOpener, folder: Path, emit: EmitMessage, *, half: bool) -> None:
     """Run a minimal model in float32 and float16, and report the GPU that ran it."""
     try:
-        _run_smallest(opener, "float32")
+        _run_smallest_model(opener, "float32")
     except ProviderFallback:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
@@ -106,10 +106,10 @@ def _try_adapter(opener: SourceOpener, folder: Path, emit: EmitMessage, *, half:
             f"there is no usable WebGPU adapter ({reason})", DRIVER_HINT
         ) from error
     log = (folder / "log").read_text("utf-8", errors="replace")
-    device_names = _OPENED_DEVICE.findall(log)
+    device_names = _OPENED_DEVICE_PATTERN.findall(log)
     name = device_names[-1] if device_names else ""
     try:
-        _run_smallest(opener, "float16")
+        _run_smallest_model(opener, "float16")
     except Exception as error:
         emit("adapter", name=name, software=bool(_SOFTWARE_ADAPTER.search(name)), half=False)
         if half:
@@ -119,7 +119,7 @@ def _try_adapter(opener: SourceOpener, folder: Path, emit: EmitMessage, *, half:
         emit("adapter", name=name, software=bool(_SOFTWARE_ADAPTER.search(name)), half=True)
 
 
-def _run_smallest(opener: SourceOpener, dtype: str) -> None:
+def _run_smallest_model(opener: SourceOpener, dtype: str) -> None:
     from onnx import ModelProto, NodeProto, TensorProto
 
     kind = TensorProto.FLOAT16 if dtype == "float16" else TensorProto.FLOAT
@@ -149,8 +149,8 @@ class _FrameRunner:
         self.known: dict[str, int] = {}
 
     def run(self) -> None:
-        if self._run_phase("plain", self._run_uncaptured):
-            self._run_phase("captured", self._run_captured)
+        if self._run_phase("plain", self._run_without_graph_capture):
+            self._run_phase("captured", self._run_with_graph_capture)
 
     def _run_phase(self, name: str, run_frames: Callable[[], None]) -> bool:
         """Run a job's frames with or without WebGPU graph capture; return False after an error."""
@@ -175,7 +175,7 @@ class _FrameRunner:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit, disk=self.job["disk"])
         self.emit("frame", phase=phase, frame=self.index, sample=sample)
 
-    def _run_uncaptured(self) -> None:
+    def _run_without_graph_capture(self) -> None:
         session = self.opener(Path(self.job["model"]), capture=False)
         self.emit("placed", nodes=[astuple(node) for node in node_placement(session)])
         names = [output.name for output in session.get_outputs()]
@@ -183,7 +183,7 @@ class _FrameRunner:
             outputs = session.run(names, inputs)
             self._emit_frame("plain", dict(zip(names, outputs, strict=True)))
 
-    def _run_captured(self) -> None:
+    def _run_with_graph_capture(self) -> None:
         """Capture the first frame, and compute the others by replay with the same buffers."""
         session = self.opener(Path(self.job["model"]), capture=True)
         self.emit("accepted")

@@ -63,10 +63,10 @@ def frustum_mask(
     distance = position @ normal.transpose(0, 1) + planes[:, 3]
     extent = radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
     is_inside = (distance + extent >= 0).to(position.dtype)
-    return _product(is_inside)
+    return _product_of_columns(is_inside)
 
 
-def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
+def _product_of_columns(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
     """Return the row products of a table by Mul, since few runtimes have a ReduceProd kernel."""
     first, *factors = columns.unbind(dim=1)
     for factor in factors:

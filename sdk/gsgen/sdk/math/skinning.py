@@ -78,7 +78,7 @@ def _local_transforms(
 ) -> Float[Tensor, "j 4 4"]:
     """Return each joint's rigid transform in the frame of its parent joint."""
     origin = torch.cat([joints, torch.zeros_like(joints[:1])], dim=0)
-    offset = joints - origin.index_select(0, _indices(parents, joints))
+    offset = joints - origin.index_select(0, _index_tensor(parents, joints))
     last = torch.eye(4, dtype=turns.dtype, device=turns.device)[3].expand(len(parents), 1, 4)
     return torch.cat([torch.cat([turns, offset[:, :, None]], dim=2), last], dim=1)
 
@@ -90,21 +90,23 @@ def _chain_transforms(
     root = torch.eye(4, dtype=local_transforms.dtype, device=local_transforms.device)[None]
     transforms = torch.cat([local_transforms, root], dim=0)
     for ancestors in _ancestor_rounds(parents):
-        transforms = transforms.index_select(0, _indices(ancestors, local_transforms)) @ transforms
+        transforms = (
+            transforms.index_select(0, _index_tensor(ancestors, local_transforms)) @ transforms
+        )
     return transforms[: len(parents)]
 
 
 def _ancestor_rounds(parents: Sequence[int]) -> Iterator[list[int]]:
     """Yield each joint's ancestor 1, 2, 4, … levels up; the joint count means no ancestor."""
-    no_ancestor = len(parents)
-    ancestors = [*parents, no_ancestor]
-    while any(ancestor != no_ancestor for ancestor in ancestors):
+    root_parent_index = len(parents)
+    ancestors = [*parents, root_parent_index]
+    while any(ancestor != root_parent_index for ancestor in ancestors):
         yield ancestors
         ancestors = [ancestors[ancestor] for ancestor in ancestors]
 
 
-def _indices(values: Sequence[int], device_of: Tensor) -> Tensor:
-    return torch.tensor(list(values), dtype=torch.int32, device=device_of.device)
+def _index_tensor(values: Sequence[int], reference_tensor: Tensor) -> Tensor:
+    return torch.tensor(list(values), dtype=torch.int32, device=reference_tensor.device)
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:

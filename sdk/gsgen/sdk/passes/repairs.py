@@ -15,7 +15,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.sdk.passes.framework.graph_builder import append_output, new_node, unused_name, weight
 from gsgen.sdk.passes.framework.value_facts import numpy_dtype
 
-_RGB = 3
+_RGB_CHANNEL_COUNT = 3
 
 
 class _Repair(passes.InPlacePass):
@@ -47,16 +47,18 @@ class CastCountOutput(_OutputRepair):
         if flat and count.dtype == ir.DataType.INT32:
             return False
         vector_shape = weight(graph, f"{self.name}_one", np.array([1]))
-        shaped = new_node("Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype)
+        reshaped_count = new_node(
+            "Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype
+        )
         cast = new_node(
             "Cast",
-            [shaped.outputs[0]],
+            [reshaped_count.outputs[0]],
             f"{self.name}_int32",
             dtype=ir.DataType.INT32,
             shape=[1],
             to=ir.DataType.INT32.value,
         )
-        append_output(graph, count, [shaped, cast])
+        append_output(graph, count, [reshaped_count, cast])
         return True
 
 
@@ -71,7 +73,7 @@ class PadColor(_OutputRepair):
     def repair(self, model: ir.Model) -> bool:
         """Append a column of ones to the colour output of a float16 model."""
         graph, color = model.graph, _output(model, self.name)
-        if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB:
+        if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB_CHANNEL_COUNT:
             return False
         rows = color.shape[0]
         if not isinstance(rows, int) or color.dtype != ir.DataType.FLOAT16:
@@ -87,7 +89,7 @@ class PadColor(_OutputRepair):
             [color, column.outputs[0]],
             f"{self.name}_padded",
             dtype=color.dtype,
-            shape=[rows, _RGB + 1],
+            shape=[rows, _RGB_CHANNEL_COUNT + 1],
             axis=1,
         )
         append_output(graph, color, [column, joined])
@@ -162,15 +164,15 @@ class PinDimensions(_Repair):
 
     def repair(self, model: ir.Model) -> bool:
         """Replace every symbolic dimension for which the user passed a size."""
-        modified = False
+        is_modified = False
         for value in (*model.graph.inputs, *model.graph.outputs):
             if value.shape is None:
                 continue
             dims = [self._size(dim) for dim in value.shape]
             if dims != list(value.shape):
                 value.shape = ir.Shape(dims)
-                modified = True
-        return modified
+                is_modified = True
+        return is_modified
 
     def _size(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
         symbol = None if isinstance(dim, int) else dim.value
@@ -193,9 +195,9 @@ class ReorderHarmonics(_OutputRepair):
         """Gather the columns of the SH output in coefficient-major order."""
         graph, color = model.graph, _output(model, self.name)
         size = color.shape[1] if color.shape is not None and len(color.shape) == 2 else None
-        if not isinstance(size, int) or size % _RGB:
+        if not isinstance(size, int) or size % _RGB_CHANNEL_COUNT:
             return False
-        slots = np.arange(size).reshape(_RGB, -1).T.reshape(-1)
+        slots = np.arange(size).reshape(_RGB_CHANNEL_COUNT, -1).T.reshape(-1)
         order = weight(graph, f"{self.name}_order", slots)
         gathered = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
         gathered.outputs[0].type, gathered.outputs[0].shape = color.type, color.shape

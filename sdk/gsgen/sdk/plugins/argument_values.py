@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from gsgen.contract.errors import ConfigInvalid
 
-_TRUE = frozenset({"1", "on", "true", "yes"})
-_FALSE = frozenset({"0", "false", "no", "off"})
-_SEQUENCES = (list, tuple, Sequence)
+_TRUE_WORDS = frozenset({"1", "on", "true", "yes"})
+_FALSE_WORDS = frozenset({"0", "false", "no", "off"})
+_SEQUENCE_TYPES = (list, tuple, Sequence)
 
 
 def convert(text: str, annotation: Any, where: str) -> Any:
@@ -40,11 +40,11 @@ def _converted_argument(text: str, annotation: Any) -> Any:
         return _parse_first_match(text, get_args(annotation))
     if origin is Literal:
         return _choose_value(text, {str(value): value for value in get_args(annotation)})
-    if origin in _SEQUENCES or annotation in _SEQUENCES:
-        return _sequence(text, origin or annotation, get_args(annotation))
+    if origin in _SEQUENCE_TYPES or annotation in _SEQUENCE_TYPES:
+        return _convert_sequence(text, origin or annotation, get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        by_value = {str(member.value): member for member in annotation}
-        return _choose_value(text, by_value | {member.name: member for member in annotation})
+        member_by_value = {str(member.value): member for member in annotation}
+        return _choose_value(text, member_by_value | {member.name: member for member in annotation})
     simple_parsers: dict[Any, Callable[[str], Any]] = {
         Any: str,
         Path: Path,
@@ -70,7 +70,7 @@ def _parse_first_match(text: str, members: Sequence[Any]) -> Any:
     raise ValueError
 
 
-def _sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
+def _convert_sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
     items = [word.strip() for word in text.split(",")] if text else []
     is_fixed_length = kind is tuple and members and members[-1] is not Ellipsis
     if is_fixed_length and len(items) != len(members):
@@ -90,9 +90,9 @@ def _choose_value(text: str, choices: dict[str, Any]) -> Any:
 
 
 def _parse_boolean(text: str) -> bool:
-    if text.lower() not in _TRUE | _FALSE:
+    if text.lower() not in _TRUE_WORDS | _FALSE_WORDS:
         raise ValueError
-    return text.lower() in _TRUE
+    return text.lower() in _TRUE_WORDS
 
 
 def _parse_none(text: str) -> None:
@@ -117,7 +117,7 @@ def _describe_type(annotation: Any) -> str:
         int: "a whole number",
         type(None): "none",
     }
-    if origin in _SEQUENCES:
+    if origin in _SEQUENCE_TYPES:
         return f"{name_of(annotation)}, separated by commas"
     return items.get(annotation, name_of(annotation))
 

@@ -50,7 +50,7 @@ class Factory:
                 raise ConfigInvalid(
                     f"{entry!r} has no '=', expected KEY=VALUE", where="--arg", hint=hint
                 )
-            values[key] = convert(text, self._type_of(key), f"--arg {key}")
+            values[key] = convert(text, self._type_of_argument(key), f"--arg {key}")
         missing = [name for name in self._required_names() if name not in values]
         if missing:
             hint = " ".join(f"--arg {name}=…" for name in missing)
@@ -70,17 +70,17 @@ class Factory:
             if parameter.default is parameter.empty and parameter.kind not in _VARIADIC:
                 yield name
 
-    def _type_of(self, key: str) -> Any:
+    def _type_of_argument(self, key: str) -> Any:
         known = self.parameters
-        variadic = [
+        variadic_parameters = [
             parameter for parameter in known.values() if parameter.kind == parameter.VAR_KEYWORD
         ]
         names = {name for name, parameter in known.items() if parameter.kind not in _VARIADIC}
         if key not in names:
-            if variadic and key.isidentifier():
+            if variadic_parameters and key.isidentifier():
                 return str
             raise UnknownName.among("argument", key, names, f"--arg, {self.target}")
-        hints = _hints(self.make)
+        hints = _type_hints_of(self.make)
         if key in hints:
             return hints[key]
         default = known[key].default
@@ -94,7 +94,7 @@ def _is_factory(value: Any) -> bool:
     return callable(value) and not isinstance(value, torch.nn.Module)
 
 
-def _hints(make: Any) -> dict[str, Any]:
+def _type_hints_of(make: Any) -> dict[str, Any]:
     function = make.__init__ if inspect.isclass(make) else make
     try:
         return typing.get_type_hints(function)
@@ -132,18 +132,18 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     if module_name.endswith(".py"):
         file = (search_folder / module_name).resolve()
         search_folder, module_name = file.parent, file.stem
-    module = _import(module_name, search_folder)
+    module = _import_module_from(module_name, search_folder)
     value: Any = module
     for name in path.split("."):
         if not hasattr(value, name):
-            raise UnknownName.among("factory", name, _candidates(value), f"TARGET {target}")
+            raise UnknownName.among("factory", name, _generator_names(value), f"TARGET {target}")
         value = getattr(value, name)
     if _is_factory(value):
         return Factory(target, value)
     return Factory(target, _require_generator(value, target))
 
 
-def _import(name: str, search_folder: Path) -> Any:
+def _import_module_from(name: str, search_folder: Path) -> Any:
     if str(search_folder) not in sys.path:
         sys.path.insert(0, str(search_folder))
     importlib.invalidate_caches()
@@ -174,7 +174,7 @@ def _missing_module_error(name: str, missing_module: str, search_folder: Path) -
     return UnknownName(f"unknown module {missing_module!r}", where=f"TARGET {name}", hint=hint)
 
 
-def _candidates(namespace: Any) -> list[str]:
+def _generator_names(namespace: Any) -> list[str]:
     """Return the names of torch generators in a Python module, and of functions returning one."""
     import torch
 

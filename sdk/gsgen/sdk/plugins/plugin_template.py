@@ -58,7 +58,7 @@ def write_plugin_package(name: str, parent_folder: Path) -> PluginPackage:
         "class": "".join(part.capitalize() for part in name.split("-")),
         "title": name.replace("-", " ").capitalize(),
         "gsgen": version("gsgen"),
-        "repository": _repository(),
+        "repository": _repository_url(),
     }
     texts = {
         _fill_template(where, replacements): _template(source, replacements)
@@ -71,7 +71,7 @@ def write_plugin_package(name: str, parent_folder: Path) -> PluginPackage:
     return PluginPackage(folder, package, tuple(Path(where) for where in sorted(texts)))
 
 
-def _repository() -> str:
+def _repository_url() -> str:
     """Return the address of gsgen's repository, from the metadata of the installed package."""
     labels = (str(entry).split(", ", 1) for entry in metadata("gsgen").get_all("Project-URL", []))
     return dict(labels)["Repository"]
@@ -118,11 +118,11 @@ def _write(folder: Path, texts: dict[str, str]) -> None:
             path = draft / where
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, "utf-8")
-        draft.chmod(0o777 & ~_umask())
+        draft.chmod(0o777 & ~_process_umask())
         draft.replace(folder)
 
 
-def _umask() -> int:
+def _process_umask() -> int:
     """Return the process's file mode creation mask (umask)."""
     mask = os.umask(0)
     os.umask(mask)

@@ -136,8 +136,8 @@ def compare_files(
         execute(source, outputs, probes, _limits_for_model(source, limits)) as old,
         execute(rewritten, outputs, probes, _limits_for_model(rewritten, limits)) as new,
     ):
-        _require_success(old, probes, source.name, "before the rewrite")
-        _require_success(new, probes, passes, "after the rewrite")
+        _require_successful_execution(old, probes, source.name, "before the rewrite")
+        _require_successful_execution(new, probes, passes, "after the rewrite")
         worst_difference: dict[str, Difference] = {}
         compared_names: set[str] = set()
         for index, probe in enumerate(probes):
@@ -157,7 +157,7 @@ def compare_files(
         if not difference.largest <= difference.allowed
     ]
     if violations:
-        _require_repeatable(source, outputs, probes, limits)
+        _require_repeatable_outputs(source, outputs, probes, limits)
         difference = max(violations, key=_difference_excess)
         raise RewriteFailed(
             f"output {difference.output!r} differs by {difference.largest:.3g} for the test inputs {difference.probe!r}, "
@@ -180,7 +180,9 @@ def _limits_for_model(model: Path, limits: Limits) -> Limits:
     return limits.for_model(open_model(model).weight_bytes)
 
 
-def _require_success(run: Execution, probes: Sequence[Probe], where: str, version: str) -> None:
+def _require_successful_execution(
+    run: Execution, probes: Sequence[Probe], where: str, version: str
+) -> None:
     fault = run.fault
     if fault is None:
         return
@@ -190,7 +192,7 @@ def _require_success(run: Execution, probes: Sequence[Probe], where: str, versio
     raise RewriteFailed(message, where=where, hint=f"{fault.hint} {hint}".strip())
 
 
-def _require_repeatable(
+def _require_repeatable_outputs(
     model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
     """Raise if a model's outputs change between two runs with the same inputs."""

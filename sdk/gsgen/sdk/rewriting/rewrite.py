@@ -183,7 +183,7 @@ def rewrite_file(
         after=after,
         probes=len(run.probes),
         differences=tuple(run.differences),
-        refusals=tuple(_refusals(rewrites)),
+        refusals=tuple(_refused_rewrites(rewrites)),
         uncompared=run.uncompared,
     )
 
@@ -279,7 +279,7 @@ def remove_unused(model: ir.Model) -> None:
     NameFixPass()(model)
 
 
-def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
+def _refused_rewrites(rewrites: Sequence[Rewrite]) -> list[Refusal]:
     """Return the nodes that rewrites left unchanged in their last run, with reasons."""
     return [
         r for rewrite in rewrites if isinstance(rewrite, SkippableRewrite) for r in rewrite.refusals
@@ -344,17 +344,21 @@ def graph_stats(file: Path, rewrite_target: RewriteTarget) -> GraphStats:
     """Count a model's nodes, and predict which of them the target runtime cannot capture."""
     loaded_model = open_model(file)
     graph = read_graph(loaded_model)
-    placed = placements(graph, loaded_model.proto, rewrite_target.tables)
+    node_placements = placements(graph, loaded_model.proto, rewrite_target.tables)
     opsets = {entry.domain: entry.version for entry in loaded_model.proto.opset_import}
     return GraphStats(
         len(graph.nodes),
         next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), 0),
         tuple(
             _capture_text(placement)
-            for placement in placed
+            for placement in node_placements
             if placement.cause not in ("", "unknown")
         ),
-        tuple(_capture_text(placement) for placement in placed if placement.cause == "unknown"),
+        tuple(
+            _capture_text(placement)
+            for placement in node_placements
+            if placement.cause == "unknown"
+        ),
     )
 
 

@@ -64,9 +64,9 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     runs = behaviour.trial_runs("flipped")
     if len(runs) < 2 or not all(run.digest for run in runs):
         return
-    plain_run, flipped_run = runs
-    if plain_run.digest != flipped_run.digest:
-        for name, value in plain_run.outputs.items():
+    unflipped_run, flipped_run = runs
+    if unflipped_run.digest != flipped_run.digest:
+        for name, value in unflipped_run.outputs.items():
             largest = largest_difference(value, flipped_run.outputs[name])
             if largest > 0:
                 actual = f"differs by up to {largest:.3g} with row 1 of the projection negated"

@@ -67,7 +67,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
         changes = any(comparison.changed for comparison in comparisons)
         location = _location(role)
         if _declares_dependence(behaviour, role) and not (
-            changes or _zero_changes(behaviour, role)
+            changes or _does_zero_change_output(behaviour, role)
         ):
             actual = f"no output changes with it ({len(comparisons)} variations)"
             yield Violation.at(location, actual, "an effect, or depends_on false")
@@ -94,7 +94,7 @@ def _location(key: str) -> str:
     return key if key.startswith(INPUT_PREFIX) else f"role {key}"
 
 
-def _zero_changes(behaviour: Behaviour, role: str) -> bool:
+def _does_zero_change_output(behaviour: Behaviour, role: str) -> bool:
     """Return whether an output changes if all inputs of an input role are set to zero."""
     zero_runs = [
         run

@@ -127,7 +127,7 @@ def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
         Divide in float32, and check the unit of the range and the number of frames.
     """
     runs = [run for run in behaviour.trial_runs("frames") if run.digest]
-    distinct = len({run.digest for run in runs})
-    if len(runs) > 2 and 2 * distinct <= len(runs):
-        actual = f"{distinct} of {len(runs)} frames differ"
+    distinct_digest_count = len({run.digest for run in runs})
+    if len(runs) > 2 and 2 * distinct_digest_count <= len(runs):
+        actual = f"{distinct_digest_count} of {len(runs)} frames differ"
         yield Violation.at("role time", actual, "distinct frames, as many as declared")

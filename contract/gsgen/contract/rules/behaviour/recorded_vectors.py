@@ -157,7 +157,7 @@ def vector_faults(
             return
         array, step = outputs[part.output], steps.get(part.output, 1)
         columns = array[:1].size
-        if subject.declared_appearance is not None and not _is_sh(subject, part):
+        if subject.declared_appearance is not None and not _is_sh_part(subject, part):
             # A fourth channel of RGB has no meaning.
             columns = min(columns, *APPEARANCE_CHANNELS["rgb"])
         fault = _record_fault(part, len(array) * step, columns, step)
@@ -177,7 +177,7 @@ def vector_faults(
     yield from _row_faults(subject, vector, actual, expected)
 
 
-def _is_sh(subject: InspectedModel, part: VectorRows) -> bool:
+def _is_sh_part(subject: InspectedModel, part: VectorRows) -> bool:
     declared = subject.declared_appearance
     return declared is None or part.output != declared.name or declared.space == "sh"
 

@@ -99,7 +99,7 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
         }
         for name, value in base.outputs.items():
             if name not in compared_names and name in unoptimised_run.outputs:
-                yield from _compare_loosely(name, value, unoptimised_run.outputs[name])
+                yield from _compare_with_loose_tolerance(name, value, unoptimised_run.outputs[name])
 
 
 def _tolerance_violation(
@@ -119,7 +119,7 @@ def _tolerance_violation(
     return Violation(where=location, expected=expected, actual=actual)
 
 
-def _compare_loosely(
+def _compare_with_loose_tolerance(
     name: str, value: np.ndarray, unoptimised_value: np.ndarray
 ) -> Iterator[Violation]:
     """Report an output if graph optimisation changes it by over 1 % of its largest value."""

@@ -13,7 +13,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_POSITION = slice(0, 3)
+_POSITION_COLUMNS = slice(0, 3)
 _ROTATION = slice(3, None)
 # The largest difference of a quaternion's length from 1.
 _UNIT_QUATERNION_TOLERANCE = 1e-3
@@ -127,7 +127,7 @@ def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
     if expected is None or actual is None:
         return
     expected = expected.copy()
-    expected[:, _POSITION] += PATH_OFFSET
+    expected[:, _POSITION_COLUMNS] += PATH_OFFSET
     yield from _compare(behaviour, actual, expected, f"a history moved by {list(PATH_OFFSET)}")
 
 

@@ -299,11 +299,15 @@ def _does_copy_input(graph: Graph, node: NodeProto) -> bool:
     is_idle = any(
         attribute.name == "noop_with_empty_axes" and attribute.i for attribute in node.attribute
     )
-    has_axes = any(attribute.name == "axes" and attribute.ints for attribute in node.attribute)
+    has_axes_attribute = any(
+        attribute.name == "axes" and attribute.ints for attribute in node.attribute
+    )
     axes_inputs = [name for name in node.input[1:2] if name]
     axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
     empty = not axes_inputs or (axes is not None and axes.dims is not None and 0 in axes.dims)
-    return is_copy(node.op_type, len(node.input), keeps_all_axes=is_idle and empty and not has_axes)
+    return is_copy(
+        node.op_type, len(node.input), keeps_all_axes=is_idle and empty and not has_axes_attribute
+    )
 
 
 def _does_share_base(graph: Graph, node: NodeProto) -> bool:

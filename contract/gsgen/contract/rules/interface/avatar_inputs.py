@@ -10,8 +10,8 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _SOUND_FIELDS = ("rate", "window", "hop")
-_MEL = "mel"
-_ARKIT = "arkit-52"
+_MEL_ROLE = "mel"
+_ARKIT_BLENDSHAPE_SET = "arkit-52"
 
 
 @rule("GI030", Severity.ERROR, needs=("GM004", "GI005"))
@@ -61,7 +61,7 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
         Divide by 100 in the model, and declare "range": [0, 1].
     """
     for entry in declared_inputs(subject):
-        if entry.convention == _ARKIT and entry.range is not None:
+        if entry.convention == _ARKIT_BLENDSHAPE_SET and entry.range is not None:
             low, high = entry.range
             if not 0 <= low <= high <= 1:
                 yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]")
@@ -86,7 +86,7 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
                 )
             continue
         shape = shape_of(subject, entry)
-        is_mel = entry.convention == _MEL or (shape is not None and len(shape) > 1)
+        is_mel = entry.convention == _MEL_ROLE or (shape is not None and len(shape) > 1)
         required_fields = _SOUND_FIELDS if is_mel else _SOUND_FIELDS[:1]
         missing = [name for name in required_fields if name not in declared]
         if missing:

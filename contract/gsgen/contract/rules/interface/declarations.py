@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 
 _METADATA_PREFIX = "gsgen."
 # A PNG file begins with these bytes, and a reference image has this size at most.
-_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_FILE_MAGIC = b"\x89PNG\r\n\x1a\n"
 _MAX_IMAGE_BYTES = 32 * MEBIBYTE
 _LICENSE_NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
 _LICENSE_TERM = rf"\(*\s*{_LICENSE_NAME}\s*\)*"
@@ -187,7 +187,7 @@ def _image_fault(model: Path, image: ReferenceImage) -> tuple[str, str] | None:
         return error.actual, expected
     except OSError as error:
         return f"cannot be read: {error}", expected
-    if not content.startswith(_PNG):
+    if not content.startswith(_PNG_FILE_MAGIC):
         return "is not a PNG", expected
     digest = hashlib.sha256(content).hexdigest()
     if digest != image.sha256:

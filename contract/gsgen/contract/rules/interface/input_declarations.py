@@ -22,7 +22,7 @@ from gsgen.contract.validation.rule import rule
 
 _TIME_ROLES = ("time", "frame_index")
 _SQUARE_SHAPES = ((4, 4), (3, 3))
-_QUATERNION = 4
+_QUATERNION_SIZE = 4
 _AXIS_ANGLE = 3
 # Two decimals more than 2π: a range may be rounded up.
 _FULL_TURN_RADIANS = 6.3
@@ -102,7 +102,7 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
 def _default_value_fault(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     """Return the fault of an input's default value, and the expected value; None if it fits."""
     default = entry.default
-    is_quaternion_pose = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
+    is_quaternion_pose = entry.role == "pose" and shape[-1:] == (_QUATERNION_SIZE,)
     if default == "identity" and not (shape in _SQUARE_SHAPES or is_quaternion_pose):
         return f"default identity for shape {list(shape)}", "a matrix or quaternions"
     if isinstance(default, tuple) and len(default) != prod(shape):
@@ -165,7 +165,7 @@ def _shape_fits_convention(entry: Input, shape: tuple[int, ...]) -> bool:
     if convention == "matrix":
         return shape == (3, 3)
     if convention == "quaternion-wxyz":
-        return shape[-1:] == (_QUATERNION,)
+        return shape[-1:] == (_QUATERNION_SIZE,)
     # [3, 3] is three joints of a pose, but a matrix of a root.
     return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 

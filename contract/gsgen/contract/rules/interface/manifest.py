@@ -74,10 +74,10 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     if keys.count(MANIFEST_KEY) > 1:
         actual = f"the key {MANIFEST_KEY!r} is repeated: {keys.count(MANIFEST_KEY)} manifests"
         yield Violation.at("metadata_props", actual, "one manifest")
-    for complaint in subject.parsed.complaints if subject.parsed else ():
-        if complaint.cause in ("schema", "syntax"):
-            location = f"manifest {complaint.where}".strip()
-            yield Violation.at(location, complaint.actual, complaint.expected)
+    for manifest_complaint in subject.parsed.complaints if subject.parsed else ():
+        if manifest_complaint.cause in ("schema", "syntax"):
+            location = f"manifest {manifest_complaint.where}".strip()
+            yield Violation.at(location, manifest_complaint.actual, manifest_complaint.expected)
 
 
 @rule("GM003", Severity.ERROR, kinds=MANIFEST_KINDS)
@@ -91,9 +91,13 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Update gsgen, or export the model for the contract version that your readers know.
     """
-    for complaint in subject.parsed.complaints if subject.parsed else ():
-        if complaint.cause == "version":
-            yield Violation.at(f"manifest {complaint.where}", complaint.actual, complaint.expected)
+    for manifest_complaint in subject.parsed.complaints if subject.parsed else ():
+        if manifest_complaint.cause == "version":
+            yield Violation.at(
+                f"manifest {manifest_complaint.where}",
+                manifest_complaint.actual,
+                manifest_complaint.expected,
+            )
 
 
 @rule("GM004", Severity.ERROR, needs=MANIFEST_PARSED, kinds=MANIFEST_KINDS)
@@ -202,8 +206,8 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, f"the degree of {channels} SH channels")
         return
     expected_channels = appearance_channels("sh", declared.degree, 4)
-    valid_channels = {appearance_channels("sh", degree, 4) for degree in range(4)}
-    if channels in valid_channels and channels != expected_channels:
+    valid_channel_counts = {appearance_channels("sh", degree, 4) for degree in range(4)}
+    if channels in valid_channel_counts and channels != expected_channels:
         expected = f"{expected_channels} channels, as SH degree {declared.degree} has"
         yield Violation.at(f"output {tensor.name}", f"graph has {channels} channels", expected)
 

@@ -15,7 +15,7 @@ from gsgen.contract.validation.rule import rule
 
 _ROUNDING = 1e-3
 # RGB taken for a constant term: from near 0 to near 1, never below 0 or above 1.
-_MAX_NEAR_ZERO, _MIN_NEAR_ZERO_SHARE, _MIN_SPREAD = 0.25, 0.02, 0.4
+_MAX_NEAR_ZERO_COLOR, _MIN_NEAR_ZERO_SHARE, _MIN_SPREAD = 0.25, 0.02, 0.4
 # A constant term multiplied by its basis function, as viewers do once more, stays below 0.5.
 _MAX_GREY_SHARE, _MIN_SHARE_EACH_SIDE = 0.5, 0.1
 # The fraction of channels that are brighter than white after the offset is added twice.
@@ -60,7 +60,7 @@ def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
     clipped_share = float(
         ((displayed_rgb < -_CLIP_MARGIN) | (displayed_rgb > 1 + _CLIP_MARGIN)).mean()
     )
-    dark_row_share = float((constant < _MAX_NEAR_ZERO).mean())
+    dark_row_share = float((constant < _MAX_NEAR_ZERO_COLOR).mean())
     if high > _MIN_BYTE_VALUE and low >= 0:
         return "bytes 0 to 255 were stored as DC"
     if low >= -_ROUNDING and high <= 1 + _ROUNDING:
@@ -126,7 +126,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
     if sample.color is None or not is_whole_scene:
         return  # the order of a part says nothing of the whole
     color = sample.color[:, :3]
-    stored_roughness = _roughness(sample, color)
+    stored_roughness = _color_roughness(sample, color)
     if stored_roughness <= _MIN_UNRELATED_ROUGHNESS:
         return
     for name, column in _SORT_COLUMNS.items():
@@ -134,7 +134,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
             order = np.argsort(sign * sample.rows[:, column], kind="stable")
             restored_color = np.empty_like(color)
             restored_color[order] = color
-            roughness = _roughness(sample, restored_color)
+            roughness = _color_roughness(sample, restored_color)
             if roughness < _MAX_SMOOTH_ROUGHNESS:
                 actual = (
                     f"colours of neighbours differ by {stored_roughness:.2f} of what any two rows do, and by "
@@ -158,7 +158,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
                 return
 
 
-def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
+def _color_roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
     """Return the mean squared colour difference of neighbours, relative to that of random pairs."""
     variance = color.var(axis=0).sum()
     neighbour_difference = color[sample.neighbours[:, 0]] - color[sample.inner_indices]
@@ -170,12 +170,12 @@ def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
 
 
 # sigmoid(0) and sigmoid(1): what a sigmoid makes of colours; and a range that is wide for them.
-_SIGMOID_TWICE_RANGE, _MIN_WIDTH = (0.5, 0.7311), 0.15
+_SIGMOID_TWICE_RANGE, _MIN_RANGE_WIDTH = (0.5, 0.7311), 0.15
 # Colours without their offset are exactly 0 in this share of all channels, and hardly above 0.5.
 _MIN_ZERO_SHARE, _MAX_RGB_WITHOUT_OFFSET, _DARK_PERCENTILE = 0.15, 0.55, 99
 # Scenes of a few chosen colours say nothing: they may well have zeros, and none above a half.
 _MIN_DISTINCT_COLORS = 32
-_MAX_DIVIDED_TWICE = 1.02 / 255
+_MAX_COLOR_DIVIDED_TWICE = 1.02 / 255
 
 
 @rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV012", "GV046"))
@@ -205,10 +205,10 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
 def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> str:
     """Return the conversion error that RGB values suggest, such as a second sigmoid, or empty."""
     low, high = float(rgb.min()), float(rgb.max())
-    if 0 < high <= _MAX_DIVIDED_TWICE:
+    if 0 < high <= _MAX_COLOR_DIVIDED_TWICE:
         return "they were divided by 255 twice"
     start, end = _SIGMOID_TWICE_RANGE
-    if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _MIN_WIDTH:
+    if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _MIN_RANGE_WIDTH:
         return "the sigmoid was applied twice"
     zeros = float((rgb == 0).mean())
     is_dark = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET

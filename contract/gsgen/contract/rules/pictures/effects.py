@@ -20,7 +20,7 @@ from gsgen.contract.validation.tolerances import effective_tolerances
 
 _SERIES_ROLES = ("time", "frame_index")
 # Instants within the range that must differ from each other, of at least this many.
-_MIN_INSTANTS = 3
+_MIN_INSTANT_COUNT = 3
 # The statistic is the largest of three motions within a hundredth of the range, over the largest
 # motion in it: 0.03 of one swing in the range, 0.2 of seven, and up to 1 of fifty. A single motion
 # may be a cut from one scene to the next, so another one must reach a part of it.
@@ -77,7 +77,7 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
         low, high = entry.range
         inner = [outputs for value, outputs in series if low < value < high]
         ends = [outputs for value, outputs in series if value in (low, high)]
-        if len(inner) < _MIN_INSTANTS or not ends:
+        if len(inner) < _MIN_INSTANT_COUNT or not ends:
             continue
         is_still = not any(
             _do_outputs_differ(inner[0], outputs, tolerances) for outputs in inner[1:]

@@ -37,9 +37,9 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     color = sample.even_row_color
     if color is None or not sample.emission.is_sh or color.shape[1] < _SH1_CHANNELS:
         return
-    stored_correlation = _correlation(color[:, 3:].reshape(len(color), -1, 3))
+    stored_correlation = _sh_correlation(color[:, 3:].reshape(len(color), -1, 3))
     correlation_by_sh_order = {
-        name: _correlation(sh_detail) for name, sh_detail in _possible_orders(color)
+        name: _sh_correlation(sh_detail) for name, sh_detail in _possible_orders(color)
     }
     name = max(correlation_by_sh_order, key=correlation_by_sh_order.__getitem__)
     if (
@@ -92,7 +92,7 @@ def _split_by_channel(columns: Float[np.ndarray, "e c"]) -> Float[np.ndarray, "e
     return columns.reshape(len(columns), 3, -1).transpose(0, 2, 1)
 
 
-def _correlation(sh_detail: Float[np.ndarray, "e k 3"]) -> float:
+def _sh_correlation(sh_detail: Float[np.ndarray, "e k 3"]) -> float:
     """Return the mean correlation of the colour channels of SH coefficients; 0 if constant."""
     centered_detail = sh_detail - sh_detail.mean(axis=0)
     deviation = np.sqrt(np.square(centered_detail).mean(axis=0))

@@ -61,14 +61,14 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
             ),
         )
         return
-    zero_share, one_share = _zero_and_one_shares(sample)
+    share_of_zeros, share_of_ones = _zero_and_one_shares(sample)
     if (
-        zero_share >= _MIN_ZERO_SHARE
-        and one_share >= _MIN_ONE_SHARE
-        and 1 - zero_share - one_share >= _MIN_BETWEEN_SHARE
+        share_of_zeros >= _MIN_ZERO_SHARE
+        and share_of_ones >= _MIN_ONE_SHARE
+        and 1 - share_of_zeros - share_of_ones >= _MIN_BETWEEN_SHARE
     ):
         actual = (
-            f"opacities are exactly 0 in {zero_share:.0%} and exactly 1 in {one_share:.0%} of the live rows, "
+            f"opacities are exactly 0 in {share_of_zeros:.0%} and exactly 1 in {share_of_ones:.0%} of the live rows, "
             "as if logits were clamped and had no sigmoid"
         )
         expected = "opacities between 0 and 1, as a sigmoid gives them"
@@ -77,7 +77,7 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
             expected=expected,
             actual=actual,
             certainty="possible",
-            statistic=Statistic("share of rows with opacity 1", one_share, 0.0, _MIN_ONE_SHARE),
+            statistic=Statistic("share of rows with opacity 1", share_of_ones, 0.0, _MIN_ONE_SHARE),
         )
 
 

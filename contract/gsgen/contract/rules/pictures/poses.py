@@ -62,13 +62,13 @@ def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
         if role in CAMERA_ROLES or not any(behaviour.subject.inputs_of(role)):
             continue  # the key of a single input repeats that of its role
         for sample, later_rows, motion, run in _local_motions(behaviour, role):
-            violation = _deviation(sample, later_rows, motion, role, run)
+            violation = _pose_deviation_violation(sample, later_rows, motion, role, run)
             if violation is not None:
                 yield violation
                 break
 
 
-def _deviation(
+def _pose_deviation_violation(
     sample: DrawnSample,
     later_rows: Float[np.ndarray, "n 10"],
     motion: LocalRotations,
@@ -199,28 +199,28 @@ def _diagnose_convention(
 Matrices = Callable[[np.ndarray], Float[np.ndarray, "j 3 3"]]
 
 
-def _from_axis_angle(vectors: np.ndarray) -> Float[np.ndarray, "j 3 3"]:
+def _rotations_from_axis_angle(vectors: np.ndarray) -> Float[np.ndarray, "j 3 3"]:
     half_angle = np.linalg.norm(vectors, axis=1, keepdims=True).astype(float) / 2
     scale = np.sinc(half_angle / np.pi) / 2
     return rotation_matrix(np.concatenate([np.cos(half_angle), scale * vectors], axis=1))
 
 
-def _inverted(matrices: Matrices) -> Matrices:
+def _inverted_transforms(matrices: Matrices) -> Matrices:
     return lambda values: matrices(values).transpose(0, 2, 1)
 
 
 def _axes(order: tuple[int, ...]) -> Matrices:
-    return lambda vectors: _from_axis_angle(vectors[:, order])
+    return lambda vectors: _rotations_from_axis_angle(vectors[:, order])
 
 
-_MATRICES_OF_WIDTH: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
+_MATRICES_OF_WIDTH: dict[int, Matrices] = {3: _rotations_from_axis_angle, 4: rotation_matrix}
 _WRONG_POSE_CONVENTIONS: dict[int, dict[str, Matrices]] = {
     3: {
-        "rotations were inverted": _inverted(_from_axis_angle),
-        "angles were halved": lambda v: _from_axis_angle(v / 2),
-        "angles were doubled": lambda v: _from_axis_angle(v * 2),
-        "numbers of all joints were read x first, then y and z": lambda v: _from_axis_angle(
-            v.reshape(3, -1).T
+        "rotations were inverted": _inverted_transforms(_rotations_from_axis_angle),
+        "angles were halved": lambda v: _rotations_from_axis_angle(v / 2),
+        "angles were doubled": lambda v: _rotations_from_axis_angle(v * 2),
+        "numbers of all joints were read x first, then y and z": lambda v: (
+            _rotations_from_axis_angle(v.reshape(3, -1).T)
         ),
         **{
             f"axes x y z were read as {' '.join('xyz'[axis] for axis in order)}": _axes(order)
@@ -232,7 +232,7 @@ _WRONG_POSE_CONVENTIONS: dict[int, dict[str, Matrices]] = {
         "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(
             np.roll(q, 1, axis=1)
         ),
-        "rotations were inverted": _inverted(rotation_matrix),
+        "rotations were inverted": _inverted_transforms(rotation_matrix),
     },
 }
 

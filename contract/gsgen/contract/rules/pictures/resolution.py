@@ -44,11 +44,11 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
     rotated_share = float((sample.rows[:, [5, 6, 8]] != 0).any(axis=1).mean())
     if len(steps) < _MIN_AXES or rotated_share < _MIN_TURNED_ANGLE:
         return
-    step, thin_sigma, middle_sigma = (
+    step, thin_sigma, median_sigma = (
         min(steps),
         *(float(np.median(sample.sigma[:, i])) for i in (0, 1)),
     )
-    if step > thin_sigma and step > _MAX_VISIBLE_STEP * middle_sigma:
+    if step > thin_sigma and step > _MAX_VISIBLE_STEP * median_sigma:
         actual = (
             f"positions are multiples of {step:.4g} along {len(steps)} axes, {step / thin_sigma:.3g} times "
             "the smallest standard deviation, as bfloat16, integers or a coarse grid leave them"
@@ -68,14 +68,18 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
 
 def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     """Return the step of the regular grid on which all values lie; 0 if there is no such grid."""
-    distinct = np.unique(values)
-    if len(distinct) < _MIN_AXES + 1:
+    distinct_values = np.unique(values)
+    if len(distinct_values) < _MIN_AXES + 1:
         return 0.0
-    step = float(np.diff(distinct).min())
-    if step < _LATTICE_STEPS * np.spacing(np.float32(np.abs(distinct).max())):
+    step = float(np.diff(distinct_values).min())
+    if step < _LATTICE_STEPS * np.spacing(np.float32(np.abs(distinct_values).max())):
         return 0.0
-    multiples = (distinct - distinct[0]) / step
-    return step if np.abs(multiples - np.rint(multiples)).max() < _MAX_LATTICE_ERROR else 0.0
+    spacing_multiples = (distinct_values - distinct_values[0]) / step
+    return (
+        step
+        if np.abs(spacing_multiples - np.rint(spacing_multiples)).max() < _MAX_LATTICE_ERROR
+        else 0.0
+    )
 
 
 @rule("GI045", Severity.WARNING, needs=DECLARATION_RULES)

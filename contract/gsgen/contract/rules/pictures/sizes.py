@@ -45,7 +45,7 @@ _SCREEN_BLUR_RANGE, _MIN_BLURRED_SHARE = (0.2999, 0.301), 0.5
 SigmaArray = Float[np.ndarray, "m 3"]
 
 
-def _multiply_by(factor: float) -> Callable[[SigmaArray], SigmaArray]:
+def _scale_by_factor(factor: float) -> Callable[[SigmaArray], SigmaArray]:
     return lambda sigma: sigma * factor
 
 
@@ -70,12 +70,12 @@ _KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], Si
             (0.0, _SMALL_SIZE_RATIO),
             revert_mistake,
         )
-        for factor, revert_mistake in ((1000, _multiply_by(1000)), (100, _multiply_by(100)))
+        for factor, revert_mistake in ((1000, _scale_by_factor(1000)), (100, _scale_by_factor(100)))
     ),
     (
         "positions and variances were both multiplied by 100",
         (0.0, _SMALL_SIZE_RATIO),
-        _multiply_by(10),
+        _scale_by_factor(10),
     ),
 )
 
@@ -102,14 +102,14 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     mistake = _find_mistake(sample, ratio)
     if mistake:
         actual += f", as if {mistake}"
-    elif _MIN_RATIO <= ratio < _MAX_HOLE_AREA_RATIO and _follows_neighbours(sample):
+    elif _MIN_RATIO <= ratio < _MAX_HOLE_AREA_RATIO and _are_aligned_with_neighbours(sample):
         actual += ", although they follow the surface or the strand of their neighbours"
     elif _MIN_RATIO <= ratio <= _MAX_RATIO:
         return
     is_suspected = _MIN_RATIO <= ratio <= _MAX_RATIO  # the limits hold; the shapes tell otherwise
     low, high = (_SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO) if is_suspected else (_MIN_RATIO, _MAX_RATIO)
-    usual = ", as right scenes mostly have" if is_suspected else ""
-    expected = f"a size of {low} to {high:g} times the distance to the neighbours{usual}"
+    usual_text = ", as right scenes mostly have" if is_suspected else ""
+    expected = f"a size of {low} to {high:g} times the distance to the neighbours{usual_text}"
     location = Location(sample.emission.rows_label, "covariance")
     usual_statistic = Statistic(
         "median standard deviation over the spacing", ratio, _SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO
@@ -134,7 +134,7 @@ def _find_mistake(sample: DrawnSample, ratio: float) -> str:
         return "0.3, the blur of renderers in pixels², were added to variances of the scene"
     largest = (
         _MAX_DENSE_RATIO
-        if ratio < _MAX_SPARSE_RATIO and _follows_neighbours(sample)
+        if ratio < _MAX_SPARSE_RATIO and _are_aligned_with_neighbours(sample)
         else _USUAL_RATIO_RANGE[1]
     )
     for mistake, (low, high), revert_mistake in _KNOWN_MISTAKES:
@@ -156,13 +156,13 @@ def _may_be_too_small(
     A power shows in the spread of the sizes, wrong units only where Gaussians are dense or follow
     their neighbours.
     """
-    single, double = revert_mistake(np.array([1.0, 2.0]))
-    if double == 2 * single:  # the mistake is a factor
-        return sample.count >= _MIN_DENSE_COUNT or _follows_neighbours(sample)
+    single, doubled_result = revert_mistake(np.array([1.0, 2.0]))
+    if doubled_result == 2 * single:  # the mistake is a factor
+        return sample.count >= _MIN_DENSE_COUNT or _are_aligned_with_neighbours(sample)
     return float(np.log(sample.sigma[:, 2]).std()) >= _MIN_POWER_SPREAD
 
 
-def _follows_neighbours(sample: DrawnSample) -> bool:
+def _are_aligned_with_neighbours(sample: DrawnSample) -> bool:
     """Return whether flat Gaussians lie in their neighbours' surface, or long ones on a strand."""
     alignment = measure_alignment(sample)
     return alignment is not None and alignment.deviation <= MAX_FITTING_DEVIATION

@@ -44,9 +44,9 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
         return
     rgb = color[:, :3].astype(np.float32)
     low, high = declared.range or (0.0, 1.0)
-    in_range = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
+    in_range_mask = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
     is_inferred = rows.emission.subject.candidate is not None
-    invalid = rows.drawn & ~in_range
+    invalid = rows.drawn & ~in_range_mask
     expected = f"{low:g} <= rgb <= {high:g}"
     if invalid.any():
         expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
@@ -102,11 +102,13 @@ def _coefficient_orders(size: int) -> dict[str, np.ndarray]:
     """Map each storage order of SH coefficients to columns by coefficient and channel, [K, 3]."""
     k = size // 3
     flat_indices = np.arange(size)
-    interleaved_twice = (flat_indices % k) * 3 + flat_indices // k  # interleaved a second time
+    twice_interleaved_indices = (
+        flat_indices % k
+    ) * 3 + flat_indices // k  # interleaved a second time
     return {
         "coefficient-major": flat_indices.reshape(k, 3),
         "channel-major": flat_indices.reshape(3, k).T,
-        "interleaved twice": interleaved_twice.reshape(k, 3),
+        "interleaved twice": twice_interleaved_indices.reshape(k, 3),
         "with f_rest before f_dc": np.roll(flat_indices, 3).reshape(k, 3),
     }
 

@@ -116,13 +116,13 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if np.count_nonzero(drawn) < _MIN_ROWS or declared is None:
             continue
         for space in ("camera space", "clip space"):
-            if _follows_camera(first, second, drawn, space):
+            if _does_follow_camera(first, second, drawn, space):
                 actual = f"the centres are in {space}: they follow the view matrix"
                 yield Violation.at(f"output {declared.name}", actual, "centres in local space")
                 return
 
 
-def _follows_camera(
+def _does_follow_camera(
     first: _RowsInCameras, second: _RowsInCameras, drawn: Bool[np.ndarray, " n"], space: str
 ) -> bool:
     """Return whether the Gaussian centres of two model runs agree only in camera space."""
@@ -173,18 +173,18 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """
     declared = probe_runs.subject.declared_gaussians
     turned_away_indices = probe_runs.plan.trials.get("away", ())
-    rows_behind = (
+    rows_behind_camera = (
         _read_seen_rows(probe_runs, turned_away_indices[0]) if turned_away_indices else None
     )
     seen_rows = [_read_seen_rows(probe_runs, index) for index in range(probe_runs.plan.values)]
     labels = probe_runs.plan.probes
-    rows_ahead = [
+    rows_before_camera = [
         s for s, probe in zip(seen_rows, labels, strict=False) if s is not None and not probe.zeros
     ]
-    if rows_behind is None or not rows_ahead or declared is None:
+    if rows_behind_camera is None or not rows_before_camera or declared is None:
         return
-    hidden_share = float(np.mean(rows_behind.drawn))
-    visible = max(float(np.mean(entry.drawn)) for entry in rows_ahead)
+    hidden_share = float(np.mean(rows_behind_camera.drawn))
+    visible = max(float(np.mean(entry.drawn)) for entry in rows_before_camera)
     if hidden_share > 0 and visible <= _MAX_VISIBLE_RATIO * hidden_share:
         actual = (
             f"{visible:.1%} of the rows are drawn where the camera looks at the scene, "

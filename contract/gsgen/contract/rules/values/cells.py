@@ -155,11 +155,11 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     if emission.cells is None:
         return
     visibility = emission.cells[:, VISIBILITY].astype(np.float64)
-    in_range = (visibility >= -_VISIBILITY_SLACK) & (visibility <= 1 + _VISIBILITY_SLACK)
+    in_range_mask = (visibility >= -_VISIBILITY_SLACK) & (visibility <= 1 + _VISIBILITY_SLACK)
     checked = _finite_mask(emission.cells)
     yield Violation.rows(
         Location(emission.cells_label, "visibility"),
-        ~in_range & checked,
+        ~in_range_mask & checked,
         visibility,
         "0 <= visibility <= 1",
         checked=int(np.count_nonzero(checked)),

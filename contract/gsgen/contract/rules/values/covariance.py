@@ -63,7 +63,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """
     slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
     has_variances = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
-    suspects = np.flatnonzero(rows.drawn & has_variances & ~_certainly_psd(rows, slack))
+    suspects = np.flatnonzero(rows.drawn & has_variances & ~_psd_mask(rows, slack))
     is_indefinite = np.zeros(len(rows), bool)
     min_eigenvalue = np.zeros(len(rows))
     if len(suspects):
@@ -81,7 +81,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
     )
 
 
-def _certainly_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
+def _psd_mask(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     """Return the mask of rows whose covariance clearly passes Sylvester's criterion, with slack."""
     xx, xy, xz, yy, yz, zz = rows.covariance
     diagonal_slack = np.float32(slack) * rows.trace

@@ -94,8 +94,8 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     if len(small_rows):
         max_position = np.abs(rows.position[:, small_rows]).max(axis=0)
         exponent = np.floor(np.log2(np.maximum(max_position, _SMALLEST_NORMAL)))
-        is_beyond = np.square(np.exp2(exponent) * epsilon) > rows.max_variance[small_rows]
-        is_coarse[small_rows] = is_beyond & ((max_position < FLOAT16_MAX) | (not is_half))
+        is_step_above_sigma = np.square(np.exp2(exponent) * epsilon) > rows.max_variance[small_rows]
+        is_coarse[small_rows] = is_step_above_sigma & ((max_position < FLOAT16_MAX) | (not is_half))
         max_coordinate[small_rows] = max_position
     yield Violation.rows(
         Location(rows.emission.rows_label, "position"),

@@ -7,7 +7,7 @@ import numpy as np
 from gsgen.contract._array_types import Float
 
 # Shares of values that a mistake explains; the rest are outliers.
-_NEARLY_ALL_SHARE = 0.995
+_MIN_INTEGER_SHARE = 0.995
 _RANGE_SLACK = 1e-3
 _MAX_BYTE = 255.0
 _MAX_PERCENT = 100.0
@@ -64,10 +64,10 @@ def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
     """
     if len(values) < _MIN_VALUES:
         return ""
-    most_negative = bool(np.mean(values < 0) > _MAJORITY_SHARE)
-    if most_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
+    is_mostly_negative = bool(np.mean(values < 0) > _MAJORITY_SHARE)
+    if is_mostly_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
         return "; these look like logarithms of scales: apply exp, then square"
-    if most_negative:
+    if is_mostly_negative:
         return "; nearly all are negative: the sign was turned"
     return ""
 
@@ -80,4 +80,4 @@ def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
     """Return whether values look like bytes: nearly all whole, up to 255, and some far above 1."""
     if values.size < _MIN_VALUES or not 2 < values.max() <= _MAX_BYTE:
         return False
-    return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL_SHARE)
+    return bool(np.mean(values == np.round(values)) >= _MIN_INTEGER_SHARE)

@@ -101,8 +101,8 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         clamp what a network gives beyond 1.
     """
     opacity = rows.opacity
-    in_range = (opacity >= -OPACITY_SLACK) & (opacity <= 1 + OPACITY_SLACK)
-    invalid = ~in_range & rows.counted & rows.finite
+    in_range_mask = (opacity >= -OPACITY_SLACK) & (opacity <= 1 + OPACITY_SLACK)
+    invalid = ~in_range_mask & rows.counted & rows.finite
     expected = "0 <= opacity <= 1"
     if invalid.any():
         expected += f"; {diagnose_opacity(opacity[rows.counted & rows.finite])}"

@@ -18,7 +18,7 @@ SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 # What `json.loads` gives.
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
 
-_SCALARS: dict[object, dict[str, object]] = {
+_SCHEMA_BY_SCALAR_TYPE: dict[object, dict[str, object]] = {
     str: {"type": "string"},
     bool: {"type": "boolean"},
     int: {"type": "integer"},
@@ -43,7 +43,7 @@ class Hint:
 
     def keywords(self) -> dict[str, object]:
         """Return the metadata of a dataclass field as JSON Schema keywords."""
-        bound_by_keyword = {
+        bound_by_schema_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,
             "exclusiveMinimum": self.exclusive_minimum,
@@ -52,7 +52,7 @@ class Hint:
             "pattern": self.pattern,
             "enum": list(self.enum) or None,
         }
-        return {key: value for key, value in bound_by_keyword.items() if value is not None}
+        return {key: value for key, value in bound_by_schema_keyword.items() if value is not None}
 
 
 def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
@@ -110,7 +110,7 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
             definitions[hint.__name__] = {}  # its place, should it refer to itself
             definitions[hint.__name__] = _object_schema(hint, definitions)
         return {"$ref": f"#/$defs/{hint.__name__}"}
-    return dict(_SCALARS[hint])
+    return dict(_SCHEMA_BY_SCALAR_TYPE[hint])
 
 
 def _add_constraints(entry: dict[str, object], hint: Hint) -> dict[str, object]:
@@ -130,7 +130,9 @@ def to_json(value: Any) -> Any:
     """Convert a dataclass instance to JSON types, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
         members = ((f, getattr(value, f.name)) for f in fields(value))
-        return {_json_key(f): to_json(entry) for f, entry in members if not _is_absent(f, entry)}
+        return {
+            _json_key(f): to_json(entry) for f, entry in members if not _is_absent_value(f, entry)
+        }
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
@@ -143,7 +145,7 @@ def _json_key(field: "Field[Any]") -> str:
     return field.name.removesuffix("_")
 
 
-def _is_absent(field: "Field[Any]", value: Any) -> bool:
+def _is_absent_value(field: "Field[Any]", value: Any) -> bool:
     """Return whether JSON omits a dataclass field: a value of None, or an empty default."""
     if value is None:
         return True
@@ -159,7 +161,7 @@ def from_json(hint: Any, value: Any) -> Any:
     if origin is Annotated:
         return from_json(get_args(hint)[0], value)
     if origin in (typing.Union, types.UnionType):
-        return _from_union(get_args(hint), value)
+        return _value_from_union(get_args(hint), value)
     if origin is tuple:
         item = get_args(hint)[0]
         return tuple(from_json(item, element) for element in value)
@@ -183,7 +185,7 @@ def _class_members(cls: type) -> dict[str, tuple[str, Any]]:
     return {_json_key(field): (field.name, hints[field.name]) for field in fields(cls)}
 
 
-def _from_union(options: tuple[Any, ...], value: Any) -> Any:
+def _value_from_union(options: tuple[Any, ...], value: Any) -> Any:
     if value is None:
         return None
     for option in options:

@@ -357,24 +357,24 @@ first_text = py.slice(text, null, 65536).trimStart();
 return py.and(first_text.startsWith("{"), () => py.list((function* () { for (const kind of py.iter(MANIFEST_KINDS$0)) yield (py.contains(first_text, `"${py.str(kind)}"`)); })()).some(py.bool));
 }
 function* manifest_schema$manifest(subject) {
-  let actual, complaint, keys, location;
+  let actual, keys, location, manifest_complaint;
 keys = [...(function* () { for (const entry of py.iter(subject.file.proto.metadata_props)) yield entry.key; })()];
 if ((py.compare(py.count(keys, "gsgen.manifest"), 1) > 0)) {
 actual = `the key ${py.str(py.repr("gsgen.manifest"))} is repeated: ${py.str(py.count(keys, "gsgen.manifest"))} manifests`;
 yield py.violation("metadata_props", actual, "one manifest");
 }
-for (complaint of py.iter((py.bool(subject.parsed) ? subject.parsed.complaints : []))) {
-if ((py.contains(["schema", "syntax"], complaint.cause))) {
-location = `manifest ${py.str(complaint.where)}`.trim();
-yield py.violation(location, complaint.actual, complaint.expected);
+for (manifest_complaint of py.iter((py.bool(subject.parsed) ? subject.parsed.complaints : []))) {
+if ((py.contains(["schema", "syntax"], manifest_complaint.cause))) {
+location = `manifest ${py.str(manifest_complaint.where)}`.trim();
+yield py.violation(location, manifest_complaint.actual, manifest_complaint.expected);
 }
 }
 }
 function* manifest_version$manifest(subject) {
-  let complaint;
-for (complaint of py.iter((py.bool(subject.parsed) ? subject.parsed.complaints : []))) {
-if ((py.eq(complaint.cause, "version"))) {
-yield py.violation(`manifest ${py.str(complaint.where)}`, complaint.actual, complaint.expected);
+  let manifest_complaint;
+for (manifest_complaint of py.iter((py.bool(subject.parsed) ? subject.parsed.complaints : []))) {
+if ((py.eq(manifest_complaint.cause, "version"))) {
+yield py.violation(`manifest ${py.str(manifest_complaint.where)}`, manifest_complaint.actual, manifest_complaint.expected);
 }
 }
 }
@@ -460,7 +460,7 @@ yield py.violation(location, `graph has ${py.str(first)} rows`, expected);
 }
 }
 function* _appearance_agrees$manifest(subject) {
-  let actual, channels, declared, expected, expected_channels, tensor, valid_channels;
+  let actual, channels, declared, expected, expected_channels, tensor, valid_channel_counts;
 [declared, tensor] = [subject.declared_appearance, subject.appearance];
 if (((declared == null) || (tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(ITEMSIZE$1, tensor.dtype)))) {
 return;
@@ -475,8 +475,8 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, `the degree of ${py.
 return;
 }
 expected_channels = appearance_channels$layout("sh", declared.degree, 4);
-valid_channels = py.set((function* () { for (const degree of py.iter(Array(4).keys())) yield appearance_channels$layout("sh", degree, 4); })());
-if (((py.contains(valid_channels, channels)) && (!py.eq(channels, expected_channels)))) {
+valid_channel_counts = py.set((function* () { for (const degree of py.iter(Array(4).keys())) yield appearance_channels$layout("sh", degree, 4); })());
+if (((py.contains(valid_channel_counts, channels)) && (!py.eq(channels, expected_channels)))) {
 expected = `${py.str(expected_channels)} channels, as SH degree ${py.str(declared.degree)} has`;
 yield py.violation(`output ${py.str(tensor.name)}`, `graph has ${py.str(channels)} channels`, expected);
 }
@@ -1459,16 +1459,16 @@ yield py.violation(location, actual, "Where or Concat");
 }
 }
 function _does_copy_input$capture(graph, node) {
-  let axes, axes_inputs, empty, has_axes, is_idle;
+  let axes, axes_inputs, empty, has_axes_attribute, is_idle;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
 }
 is_idle = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
-has_axes = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
+has_axes_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
 axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
 empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
-return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => empty, () => !py.bool(has_axes)));
+return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => empty, () => !py.bool(has_axes_attribute)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
 if ((py.contains(VIEW_OPERATORS$23, operator))) {
@@ -1786,7 +1786,7 @@ text = py.or(text, () => "an empty text");
 return ((py.compare(py.len(text), 60) <= 0) ? text : `${py.str(py.slice(text, null, 57))}…`);
 }
 function _parse_document$manifest_io(text) {
-  let actual, complaint, document, error, version;
+  let actual, document, error, manifest_complaint, version;
 try {
 document = py.loads(text, _parse_number$manifest_io, _parse_integer$manifest_io, _parse_number$manifest_io, _unique_keys$manifest_io);
 py.dumps(document, false);
@@ -1803,8 +1803,8 @@ actual = _shorten$manifest_io(py.get(document, "contract", "nothing"));
 return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
 if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$34, 0)))) {
-complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$34, 0))}`);
-return new ParsedManifest$manifest_io(null, [complaint], version);
+manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$34, 0))}`);
+return new ParsedManifest$manifest_io(null, [manifest_complaint], version);
 }
 return _parse_body$manifest_io(document, version);
 }

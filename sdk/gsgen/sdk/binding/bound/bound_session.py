@@ -224,13 +224,13 @@ def translate_error(error: Exception) -> GsgenError:
         return error
     mismatch = _SIZE_MISMATCH.search(str(error))
     if mismatch is not None:
-        return _shape_changed(*mismatch.groups())
+        return _shape_changed_error(*mismatch.groups())
     failure = explain_load_failure(str(error))
     hint = failure.hint or "`gsgen validate --level live` reports the rule that the model violates."
     return RunFailed(failure.cause, where="ONNX Runtime", hint=hint)
 
 
-def _shape_changed(output: str, bound: str, computed: str) -> RunFailed:
+def _shape_changed_error(output: str, bound: str, computed: str) -> RunFailed:
     return RunFailed(
         f"has shape [{computed}], but had [{bound}] when the session was opened: its size depends "
         "on input values, and buffers have a fixed size",

@@ -50,9 +50,9 @@ def wrong_outputs(
         ]
         if not wrong_frames:
             continue
-        is_changing = any(not _same_bits(array, expected[0]) for array in expected)
-        repeats_first = all(_same_bits(array, actual[0]) for array in actual)
-        if is_changing and repeats_first and arrays_agree(expected[0], actual[0]):
+        is_output_changing = any(not _same_bits(array, expected[0]) for array in expected)
+        does_repeat_first = all(_same_bits(array, actual[0]) for array in actual)
+        if is_output_changing and does_repeat_first and arrays_agree(expected[0], actual[0]):
             difference = f"repeats frame 0 in all {len(actual) - 1} replays"
         else:
             difference = f"{len(wrong_frames)} of {len(expected)} frames differ, the first is frame {wrong_frames[0]}"

@@ -94,10 +94,10 @@ def open_warm(
         host_memory=host_memory,
     )
     with lock_of(choice):
-        return _warm_up(sources, session_options)
+        return _warm_up_session(sources, session_options)
 
 
-def _warm_up(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+def _warm_up_session(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
     """Open an ONNX Runtime session that computes correct frames, by graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
@@ -118,7 +118,7 @@ def _open_with_fallback(sources: ModelFacts, session_options: SessionOptions) ->
     if not session_options.capture:
         return _open_without_capture(sources, session_options, "")
     try:
-        warm_session = _open_uncached(sources, session_options)
+        warm_session = _open_uncached_session(sources, session_options)
     except GsgenError:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
@@ -135,14 +135,14 @@ def _open_without_capture(
     sources: ModelFacts, session_options: SessionOptions, cause: str
 ) -> WarmSession:
     try:
-        warm_session = _open_uncached(sources, session_options)
+        warm_session = _open_uncached_session(sources, session_options)
         warm_session.bound.run()
     except Exception as error:
         raise translate_error(error) from error
     return replace(warm_session, captured=False, cause=cause)
 
 
-def _open_uncached(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+def _open_uncached_session(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
     session = open_session(sources.path, session_options)
     inputs = [
         sources.input_binding(spec, session_options.sizes)
@@ -157,7 +157,7 @@ def _open_uncached(sources: ModelFacts, session_options: SessionOptions) -> Warm
     if host_memory is not None:
         host_memory.clear()
     bound = BoundSession(
-        session, shapes, _defaults(ports), memory, session_options.stop, host_memory
+        session, shapes, _default_inputs(ports), memory, session_options.stop, host_memory
     )
     return WarmSession(
         choice=session_options.choice,
@@ -168,7 +168,7 @@ def _open_uncached(sources: ModelFacts, session_options: SessionOptions) -> Warm
     )
 
 
-def _defaults(ports: Mapping[str, InputBinding]) -> Tensors:
+def _default_inputs(ports: Mapping[str, InputBinding]) -> Tensors:
     return {name: port.default() for name, port in ports.items()}
 
 
@@ -181,7 +181,7 @@ def _capture_fault(sources: ModelFacts, warm_session: WarmSession) -> str:
         raise translate_error(error) from error
     try:
         replayed = _frames(warm_session.bound, probes, captured=True)
-        warm_session.bound.write(_defaults(warm_session.ports))
+        warm_session.bound.write(_default_inputs(warm_session.ports))
     except Exception as error:  # capture was refused at the first run, not at creation
         return error_text(error)
     wrong_replays = wrong_outputs(uncaptured, replayed, sources.output_origin)

@@ -23,8 +23,8 @@ def send(channel: socket.socket, message: Message, descriptors: Sequence[int] = 
     """Send a message, and descriptors of files that the receiver gets copies of."""
     data = json.dumps(message, separators=(",", ":")).encode()
     data = _LENGTH_STRUCT.pack(len(data)) + data
-    sent = socket.send_fds(channel, [data], descriptors) if descriptors else 0
-    channel.sendall(data[sent:])
+    sent_byte_count = socket.send_fds(channel, [data], descriptors) if descriptors else 0
+    channel.sendall(data[sent_byte_count:])
 
 
 def receive(channel: socket.socket, descriptors: int = 0) -> tuple[Message | None, list[int]]:

@@ -63,16 +63,16 @@ class ConfinedModels:
             raise HostProcessFailed("this system cannot run models in a confined process")
         self.limits = limits = limits or Limits(seconds=FRAME_SECONDS)
         self._lock = threading.Lock()
-        self._children: list[_Child] = []
+        self._children: list[_ChildProcess] = []
         files: list[ModelFile] = []
         for path in map(Path, models):
             with suppress(ModelUnreadable):  # reported where the model is opened
                 files.append(open_model(path))
-        self._shared_child = _Child(files, limits, has_gpu=has_gpu) if files else None
+        self._shared_child = _ChildProcess(files, limits, has_gpu=has_gpu) if files else None
         if self._shared_child is not None:
             self._children.append(self._shared_child)
         # Sessions refer to this object: without it and without sessions, the processes end.
-        weakref.finalize(self, _end_all, self._children)
+        weakref.finalize(self, _end_all_children, self._children)
 
     def open(self, file: ModelFile, request: Message) -> "Channel":
         """Return a channel to a session that opens a model; :meth:`Channel.ask` for its facts."""
@@ -82,14 +82,14 @@ class ConfinedModels:
                 file, needs_gpu=needs_gpu
             ):
                 return self._shared_child.channel(file, request)
-            child = _Child([file], self.limits, has_gpu=needs_gpu)
+            child = _ChildProcess([file], self.limits, has_gpu=needs_gpu)
             self._children[:] = [*(other for other in self._children if other.is_running), child]
         return child.channel(file, request, is_last=True)
 
     def close(self) -> None:
         """End all processes; a second call has no effect."""
         with self._lock:
-            _end_all(self._children)
+            _end_all_children(self._children)
 
     def __enter__(self) -> Self:
         return self
@@ -98,14 +98,14 @@ class ConfinedModels:
         self.close()
 
 
-def _end_all(children: "list[_Child]") -> None:
+def _end_all_children(children: "list[_ChildProcess]") -> None:
     while children:
         hint = "Close ConfinedModels after its sessions."
         children.pop().end(SessionClosed("the process that runs the model was closed", hint=hint))
 
 
 @final
-class _Child:
+class _ChildProcess:
     """A confined process, started when it is created."""
 
     def __init__(self, files: Iterable[ModelFile], limits: Limits, *, has_gpu: bool) -> None:
@@ -251,7 +251,7 @@ class Channel:
     def __init__(
         self,
         *,
-        child: _Child,
+        child: _ChildProcess,
         socket: socket.socket,
         shared: SharedMemory,
         number: int,

@@ -58,7 +58,7 @@ class _Session:
     def __init__(self, files: list[int], request: Message, job: Message) -> None:
         self._channel = socket.socket(fileno=files[0])
         self._memory_file = files[1]
-        self._request, self._job = request, job
+        self._request, self._job_settings = request, job
         self._host_limit = job["host_limit"]
         self._stop, self._frame, self._lock = Stop(), 0, threading.Lock()
 
@@ -72,7 +72,7 @@ class _Session:
                     if session is None:
                         session = self._open_session()
                         self._device_lock = lock_of(session.choice)
-                        reply = self._describe(session)
+                        reply = self._describe_session(session)
                     else:
                         reply = self._reply_to_message(session, message)
                 except Exception as error:
@@ -92,7 +92,7 @@ class _Session:
         request = self._request
         self._shared_memory = SharedMemory(self._memory_file)
         manifest = None if request["manifest"] is None else loads(request["manifest"])
-        limit_processor_time(self._job["seconds"])
+        limit_processor_time(self._job_settings["seconds"])
         return open_warm(
             read_model_facts(Path(request["path"]), manifest),
             provider=request["provider"],
@@ -107,11 +107,11 @@ class _Session:
     def _limit_memory(self, provider: str) -> None:
         """Limit the memory of this process, unless CUDA reserves addresses for all of a GPU's."""
         if provider != "cuda":
-            limit_memory(self._job["memory"] + DRIVER_BYTES * (provider == "webgpu"))
+            limit_memory(self._job_settings["memory"] + DRIVER_BYTES * (provider == "webgpu"))
 
-    def _describe(self, session: WarmSession) -> Message:
+    def _describe_session(self, session: WarmSession) -> Message:
         places = {
-            kind: {name: self._place_array(buffer) for name, buffer in buffers.items()}
+            kind: {name: self._place_output_array(buffer) for name, buffer in buffers.items()}
             for kind, buffers in (
                 ("inputs", session.bound.inputs),
                 ("outputs", session.bound.outputs),
@@ -126,7 +126,7 @@ class _Session:
             "nodes": [[node.provider, node.operator, node.name] for node in session.nodes],
         }
 
-    def _place_array(self, buffer: Any) -> list[Any]:
+    def _place_output_array(self, buffer: Any) -> list[Any]:
         place: SharedArraySlot = self._shared_memory.place_of(buffer.host)
         return [place.offset, list(place.shape), place.dtype.name]
 
@@ -138,7 +138,7 @@ class _Session:
         with self._lock:
             self._frame = message["frame"]
             self._stop.reset()
-        limit_processor_time(self._job["seconds"])
+        limit_processor_time(self._job_settings["seconds"])
         with self._device_lock:
             for name in message["changed"]:
                 session.bound.inputs[name].upload()
@@ -147,7 +147,7 @@ class _Session:
 
     def _error(self, error: Exception) -> GsgenError:
         if is_out_of_memory(error):
-            memory, host_limit = self._job["memory"], self._host_limit
+            memory, host_limit = self._job_settings["memory"], self._host_limit
             if host_limit < memory:
                 return memory_refused(memory, host_limit, error_line(error))
             limit = f"{memory >> 20:,} MiB, the memory limit (--memory)"

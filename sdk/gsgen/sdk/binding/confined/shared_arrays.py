@@ -40,12 +40,12 @@ def create_memory_file(size: int) -> int:
 
             file = os.memfd_create("gsgen", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
             os.ftruncate(file, size)
-            seals = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
-            fcntl.fcntl(file, fcntl.F_ADD_SEALS, seals)
+            memory_seals = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+            fcntl.fcntl(file, fcntl.F_ADD_SEALS, memory_seals)
             return file
-        with tempfile.TemporaryFile(prefix="gsgen-") as temporary:
-            temporary.truncate(size)
-            return os.dup(temporary.fileno())
+        with tempfile.TemporaryFile(prefix="gsgen-") as temporary_file:
+            temporary_file.truncate(size)
+            return os.dup(temporary_file.fileno())
     except OSError as error:
         raise HostProcessFailed(f"no memory to share with a model: {error.strerror}") from error
 

@@ -19,7 +19,7 @@ class Stop:
     def __init__(self) -> None:
         self._options: list[Any] = []
         self._callbacks: list[Callable[[], None]] = []
-        self._terminate = False
+        self._terminate_flag = False
 
     def options(self) -> Any:
         """Return ONNX Runtime run options whose inference another thread can cancel."""
@@ -27,32 +27,32 @@ class Stop:
 
         options = onnxruntime.RunOptions()
         options.log_severity_level = FATAL_LOG_LEVEL
-        options.terminate = self._terminate
+        options.terminate = self._terminate_flag
         self._options.append(options)
         return options
 
     def call(self, callback: Callable[[], None]) -> None:
         """Call a function at each cancellation; at once if one has not been reset."""
         self._callbacks.append(callback)
-        if self._terminate:
+        if self._terminate_flag:
             callback()
 
     @property
     def requested(self) -> bool:
         """Whether inferences are cancelled, since :meth:`now` and until :meth:`reset`."""
-        return self._terminate
+        return self._terminate_flag
 
     def now(self) -> None:
         """Cancel the running inferences of an ONNX Runtime session, until :meth:`reset`."""
-        self._set_terminate(terminate=True)
+        self._set_terminate_flag(terminate=True)
         for callback in self._callbacks:
             callback()
 
     def reset(self) -> None:
         """Allow an ONNX Runtime session to run inferences again after a cancellation."""
-        self._set_terminate(terminate=False)
+        self._set_terminate_flag(terminate=False)
 
-    def _set_terminate(self, *, terminate: bool) -> None:
-        self._terminate = terminate
+    def _set_terminate_flag(self, *, terminate: bool) -> None:
+        self._terminate_flag = terminate
         for options in self._options:
             options.terminate = terminate

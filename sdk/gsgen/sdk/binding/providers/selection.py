@@ -36,7 +36,7 @@ Provider = Literal["cpu", "webgpu", "cuda"]
 PROVIDERS: tuple[Provider, ...] = get_args(Provider)
 CUDA = "CUDAExecutionProvider"
 
-_NO_ADAPTER = "Failed to get a WebGPU adapter"
+_NO_ADAPTER_MESSAGE = "Failed to get a WebGPU adapter"
 
 # ONNX Runtime's names for each provider, and for the memory of its buffers.
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": CPU, "webgpu": WEBGPU, "cuda": CUDA}
@@ -104,7 +104,7 @@ def choose_provider(name: str = "auto") -> ProviderChoice:
         ProviderUnavailable: The provider is not installed, or no device is available for it.
     """
     if name == "auto":
-        return _choose_automatically()
+        return _choose_provider_automatically()
     if name not in PROVIDERS:
         raise UnknownName.among("provider", name, ["auto", *PROVIDERS])
     provider: Provider = next(known for known in PROVIDERS if known == name)
@@ -116,7 +116,7 @@ def choose_provider(name: str = "auto") -> ProviderChoice:
     return ProviderChoice(provider, "requested", adapter, is_requested=True)
 
 
-def _choose_automatically() -> ProviderChoice:
+def _choose_provider_automatically() -> ProviderChoice:
     if _has_cuda():
         return ProviderChoice("cuda", "the installed ONNX Runtime has CUDA")
     if find_spec(PACKAGE) is None:
@@ -174,7 +174,7 @@ def open_session(model: Path | bytes, session_options: SessionOptions) -> Any:
         # With fallback, a missing adapter would open a session on the CPU.
         session = onnxruntime.InferenceSession(source, settings, providers, enable_fallback=0)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        if _NO_ADAPTER not in str(error):
+        if _NO_ADAPTER_MESSAGE not in str(error):
             raise
         where = f"provider {provider}"
         raise ProviderUnavailable(error_text(error), where=where, hint=DRIVER_HINT) from error

@@ -19,12 +19,18 @@ from torch.utils._pytree import tree_leaves
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
 _FLOAT32_BYTES: Final = 4
-_CONVERSIONS: Final = frozenset({"_to_copy", "clone", "detach", "alias", "lift_fresh", "t", "view"})
-_MISSING: Final = re.compile(r"OpOverload\(op='\w+\.(\w+)'.*?Failure message: (.*)", re.DOTALL)
-_TRANSLATED: Final = re.compile(r"Error when translating node .*?target=torch\.ops\.\w+\.(\w+)")
+_CONVERSION_OPERATORS: Final = frozenset(
+    {"_to_copy", "clone", "detach", "alias", "lift_fresh", "t", "view"}
+)
+_MISSING_OPERATOR_PATTERN: Final = re.compile(
+    r"OpOverload\(op='\w+\.(\w+)'.*?Failure message: (.*)", re.DOTALL
+)
+_TRANSLATION_ERROR_PATTERN: Final = re.compile(
+    r"Error when translating node .*?target=torch\.ops\.\w+\.(\w+)"
+)
 
 # What to write in place of an operator without ONNX form, by a pattern of its name.
-_SUBSTITUTES: Final[tuple[tuple[str, str], ...]] = (
+_SUBSTITUTE_HINTS: Final[tuple[tuple[str, str], ...]] = (
     (
         "cummax|cummin|logcumsumexp",
         "With few rows, torch.where(mask, x[None], -torch.inf).amax(1) with a lower triangular "
@@ -72,26 +78,26 @@ class OperatorWatch(TorchDispatchMode):
         self.lines: dict[str, str] = {}
         self.low_precision: tuple[str, str] | tuple[()] = ()
         self._is_computed = False
-        self._caller: FrameType | None = None
+        self._caller_frame: FrameType | None = None
 
     def __enter__(self) -> Self:
         """Begin to watch; frames of the caller are not the module's."""
-        self._caller = sys._getframe(1)
+        self._caller_frame = sys._getframe(1)
         return super().__enter__()  # type: ignore[no-untyped-call, no-any-return]
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Run an operator, and record it."""
         result = func(*args, **(kwargs or {}))
         name = func.overloadpacket.__name__
-        line = current_user_line(self._caller)
+        line = current_user_line(self._caller_frame)
         self.lines.setdefault(name, line)
         if not self._is_computed:
             dtypes = [leaf.dtype for leaf in tree_leaves(result) if isinstance(leaf, Tensor)]
-            low = [dtype for dtype in dtypes if _is_low(dtype)]
-            computes = name not in _CONVERSIONS
-            if low and line and (computes or not self.low_precision):
+            low = [dtype for dtype in dtypes if _is_low_precision(dtype)]
+            does_compute = name not in _CONVERSION_OPERATORS
+            if low and line and (does_compute or not self.low_precision):
                 self.low_precision = line, str(low[0]).removeprefix("torch.")
-                self._is_computed = computes
+                self._is_computed = does_compute
         return result
 
     def line_of(self, operator: str) -> str:
@@ -115,7 +121,7 @@ class OperatorWatch(TorchDispatchMode):
         )
 
 
-def _is_low(dtype: torch.dtype) -> bool:
+def _is_low_precision(dtype: torch.dtype) -> bool:
     return dtype.is_floating_point and dtype.itemsize < _FLOAT32_BYTES
 
 
@@ -131,10 +137,12 @@ def missing_operator(error: BaseException) -> tuple[str, str]:
     operator = ""
     cause: BaseException | None = error
     while cause is not None:
-        if type(cause).__name__ == "DispatchError" and (match := _MISSING.search(str(cause))):
+        if type(cause).__name__ == "DispatchError" and (
+            match := _MISSING_OPERATOR_PATTERN.search(str(cause))
+        ):
             kind = " of complex numbers" if "complex" in match[2] else ""
             return match[1], f"ONNX has no operator for torch.{match[1].strip('_')}{kind}"
-        if match := _TRANSLATED.search(str(cause)):
+        if match := _TRANSLATION_ERROR_PATTERN.search(str(cause)):
             operator = match[1]
         reason, cause = " ".join(str(cause).split())[:200], cause.__cause__
     if not operator:
@@ -147,7 +155,7 @@ def missing_operator_hint(name: str, sentence: str) -> str:
     if sentence.endswith("complex numbers"):
         return "Write real and imaginary parts as two tensors."
     plain_name = name.strip("_")
-    for pattern, hint in _SUBSTITUTES:
+    for pattern, hint in _SUBSTITUTE_HINTS:
         if re.fullmatch(pattern, plain_name) or re.fullmatch(pattern, name):
             return f"{hint} {_GENERAL_HINT}"
     return _GENERAL_HINT

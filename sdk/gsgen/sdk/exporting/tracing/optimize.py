@@ -46,11 +46,11 @@ def optimize(model: ir.Model) -> None:
     """Fold constants, merge operators and remove unused ones, in place."""
     graph_passes.InlinePass()(model)
     for _ in range(_OPTIMIZER_ROUNDS):
-        folded = fold_constants_ir(model)
+        constant_folding = fold_constants_ir(model)
         rewritten = RewritePass(_RULES)(model)
         graph_passes.RemoveUnusedNodesPass()(model)
         graph_passes.RemoveUnusedFunctionsPass()(model)  # type: ignore[no-untyped-call]
-        if not (folded.modified or rewritten.modified):
+        if not (constant_folding.modified or rewritten.modified):
             break
     ir.passes.Sequential(
         graph_passes.RemoveUnusedOpsetsPass(),

@@ -22,8 +22,12 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
-_INDEXING = (torch.ops.aten.index, torch.ops.aten.index_put, torch.ops.aten.index_put_)
-_CLAMPS = (torch.ops.aten.clamp.default, torch.ops.aten.clamp_.default)
+_INDEX_OVERLOAD_PACKETS = (
+    torch.ops.aten.index,
+    torch.ops.aten.index_put,
+    torch.ops.aten.index_put_,
+)
+_CLAMP_OPERATORS = (torch.ops.aten.clamp.default, torch.ops.aten.clamp_.default)
 # Runs that look for tensors which are constant when they are made and written later. Each run adds
 # tensors that the one before it did not know; two are the most that a module has needed.
 _MAX_RUNS = 8
@@ -76,7 +80,7 @@ def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFoldi
         # Step 1: find tensors that are constant when they are made, and that an input writes later.
         written: frozenset[int] = frozenset()
         for _ in range(_MAX_RUNS):
-            folded_tensors = written | _run(module, _copies(inputs), written).written
+            folded_tensors = written | _run(module, _copy_tensors(inputs), written).written
             if folded_tensors == written:
                 break
             written = folded_tensors
@@ -92,7 +96,7 @@ def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFoldi
         trace: Callable[..., fx.GraphModule] = make_fx(
             recorded, tracing_mode="real", _error_on_data_dependent_ops=False
         )
-        graph = trace(*_copies(inputs))
+        graph = trace(*_copy_tensors(inputs))
     known = {t.data_ptr() for t in (*module.parameters(), *module.buffers())}
     constants = {t.data_ptr(): t.nbytes for t in _constants(graph) if t.data_ptr() not in known}
     return ConstantFolding(graph, modes[-1].computed, sum(constants.values()))
@@ -147,9 +151,9 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
             for tensor in _tensors(result):
                 self._maker_by_storage.setdefault(_storage(tensor), (self._count, tensor))
             return result
-        args = self._with_indices(func, args)
+        args = self._replace_masks_by_indices(func, args)
         if is_reached and _is_masked_write(func, args):
-            result = _write_by_mask(func, args)
+            result = _write_values_by_mask(func, args)
         else:
             if is_reached:
                 _refuse_values(func, args)
@@ -161,9 +165,9 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
             self._reached_tensors[key] = tensor
         return result
 
-    def _with_indices(self, func: Any, args: Any) -> Any:
+    def _replace_masks_by_indices(self, func: Any, args: Any) -> Any:
         """Replace constant masks by the indices of their true elements, whose number is known."""
-        if func.overloadpacket not in _INDEXING:
+        if func.overloadpacket not in _INDEX_OVERLOAD_PACKETS:
             return args
         indices: list[Tensor | None] = []
         for index in args[1]:
@@ -185,7 +189,9 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
 def _refuse_values(func: Any, args: Any) -> None:
     """Raise if an operation gives Python a value, or if a value decides the size of its result."""
     is_shape = torch.Tag.dynamic_output_shape in func.tags
-    if func.overloadpacket in _INDEXING:  # by numbers, the result has the size of the indices
+    if (
+        func.overloadpacket in _INDEX_OVERLOAD_PACKETS
+    ):  # by numbers, the result has the size of the indices
         is_shape = any(map(_is_mask, args[1]))
     if is_shape or torch.Tag.data_dependent_output in func.tags:
         raise ValueNeeded(f"aten.{func.__name__}", current_user_line(), is_shape=is_shape)
@@ -193,28 +199,28 @@ def _refuse_values(func: Any, args: Any) -> None:
 
 def _is_masked_write(func: Any, args: Any) -> bool:
     """Return whether one value, or one row, is written where a mask is true: ``x[mask] = value``."""
-    if func.overloadpacket not in _INDEXING[1:] or not _is_mask(args[1][0]):
+    if func.overloadpacket not in _INDEX_OVERLOAD_PACKETS[1:] or not _is_mask(args[1][0]):
         return False
     target, (mask, *others), value = args[:3]
     row_shape = target.shape[mask.ndim :]
     return not others and (value.numel() == 1 or value.shape == row_shape)
 
 
-def _write_by_mask(func: Any, args: Any) -> Tensor:
+def _write_values_by_mask(func: Any, args: Any) -> Tensor:
     """Write by ``torch.where``, whose result has the size of the target."""
     target, (mask,), value = args[:3]
-    accumulate = len(args) > 3 and args[3]
+    does_accumulate = len(args) > 3 and args[3]
     mask = mask.bool().reshape(*mask.shape, *[1] * (target.ndim - mask.ndim))
     value = value.reshape(()) if value.numel() == 1 else value
-    result = torch.where(mask, target + value if accumulate else value, target)
+    result = torch.where(mask, target + value if does_accumulate else value, target)
     result = result.to(target.dtype)
-    in_place = func.overloadpacket is torch.ops.aten.index_put_
-    return target.copy_(result) if in_place else result
+    is_in_place = func.overloadpacket is torch.ops.aten.index_put_
+    return target.copy_(result) if is_in_place else result
 
 
 def _with_float_bounds(func: Any, args: Any) -> Any:
     """Make the bounds of clamp floats if one of them is: the exporter knows no mixed ones."""
-    if func not in _CLAMPS or not any(isinstance(bound, float) for bound in args[1:3]):
+    if func not in _CLAMP_OPERATORS or not any(isinstance(bound, float) for bound in args[1:3]):
         return args
     return (args[0], *(bound if bound is None else float(bound) for bound in args[1:3]))
 
@@ -239,7 +245,7 @@ def _storage(tensor: Tensor) -> int:
     return int(tensor.untyped_storage()._cdata)
 
 
-def _copies(tensors: Sequence[Tensor]) -> list[Tensor]:
+def _copy_tensors(tensors: Sequence[Tensor]) -> list[Tensor]:
     return [tensor.detach().clone() for tensor in tensors]
 
 

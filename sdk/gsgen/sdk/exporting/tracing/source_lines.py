@@ -35,13 +35,13 @@ def user_line_of(error: BaseException) -> str:
     return ""
 
 
-def current_user_line(outer: FrameType | None = None) -> str:
+def current_user_line(outer_frame: FrameType | None = None) -> str:
     """Return ``file:line (code)`` of the innermost running frame of the user's code.
 
-    Frames from ``outer`` on, which called the code in question, do not count.
+    Frames from ``outer_frame`` on, which called the code in question, do not count.
     """
     for frame in _frames():
-        if frame is outer:
+        if frame is outer_frame:
             break
         name = frame.f_code.co_filename
         if is_user_file(name):

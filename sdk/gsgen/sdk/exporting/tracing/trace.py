@@ -69,13 +69,13 @@ def trace_generator(
     try:
         return trace_module(packed, example, names, opset, where=where, hazards=hazards)
     except ExportFailed as error:
-        folding = _fold_constants(packed, example, hazards, error)
+        folding_result = _fold_constants(packed, example, hazards, error)
         try:
-            model = trace_module(folding.graph, example, names, opset, where=error.where)
+            model = trace_module(folding_result.graph, example, names, opset, where=error.where)
         except OperatorMissing:
             raise error from None  # it has the line of forward, which the folded graph has not
     if notes is not None:
-        notes.append(folding.describe())
+        notes.append(folding_result.describe())
     return model
 
 
@@ -147,7 +147,7 @@ def _run_exporter(
     module: nn.Module, arguments: tuple[torch.Tensor, ...], names: TensorNames, opset: int
 ) -> ir.Model:
     with _silence_exporter():
-        program = torch.onnx.export(
+        onnx_program = torch.onnx.export(
             module,
             arguments,
             dynamo=True,
@@ -155,13 +155,13 @@ def _run_exporter(
             output_names=list(names.outputs),
             opset_version=opset,
             dynamic_shapes=names.dynamic and (names.dynamic,),
-            custom_translation_table=_TRANSLATIONS,
+            custom_translation_table=_OPERATOR_TRANSLATIONS,
             optimize=False,
             verbose=False,
         )
-        assert program is not None
-        optimize(program.model)
-        return program.model
+        assert onnx_program is not None
+        optimize(onnx_program.model)
+        return onnx_program.model
 
 
 def _widen_indices(model: ir.Model) -> None:
@@ -254,14 +254,14 @@ def _searchsorted(
     return _OPSET18.Cast(count, to=TensorProto.INT64)
 
 
-def _prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
+def _translate_prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
     """Translate ``prims.prod``, to which torch reduces ``cumprod``, to the operator ReduceProd."""
     axes = _OPSET18.Constant(value_ints=list(dims))
     return _OPSET18.ReduceProd(values, axes, keepdims=0)
 
 
 # ONNX forms of torch operators that torch's own exporter does not translate.
-_TRANSLATIONS: dict[Callable[..., Any], Callable[..., Any]] = {
+_OPERATOR_TRANSLATIONS: dict[Callable[..., Any], Callable[..., Any]] = {
     torch.ops.aten.searchsorted.Tensor: _searchsorted,
-    torch.ops.prims.prod.default: _prod,
+    torch.ops.prims.prod.default: _translate_prod,
 }

@@ -284,8 +284,8 @@ def is_op(node: ir.Node | None, *kinds: str) -> bool:
 
 def opset_of(model: ir.Model) -> int:
     """Return the version of the ONNX operator set that a model imports; 0 without an import."""
-    imports = model.opset_imports
-    return next((imports[domain] for domain in MAIN_DOMAIN if domain in imports), 0)
+    opset_imports = model.opset_imports
+    return next((opset_imports[domain] for domain in MAIN_DOMAIN if domain in opset_imports), 0)
 
 
 def kernel_dtype(node: ir.Node) -> str:

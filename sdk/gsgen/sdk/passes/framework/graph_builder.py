@@ -122,7 +122,7 @@ class InsertionPoint:
         result_dtype = dtype if dtype is not None else next(known, None)
         name = self._next_name(kind)
         node = new_node(kind, inputs, name, dtype=result_dtype, shape=shape, **attributes)
-        self._insert(node)
+        self._insert_node(node)
         return node.outputs[0]
 
     def ops(
@@ -138,7 +138,7 @@ class InsertionPoint:
         for index, value in enumerate(node.outputs):
             value.name = f"{name}_{index}"
             value.type = inputs[0].type if inputs[0] is not None else None
-        self._insert(node)
+        self._insert_node(node)
         return list(node.outputs)
 
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
@@ -167,7 +167,7 @@ class InsertionPoint:
         self._count += 1
         return f"{self._name_stem}_{self._count}_{kind}"
 
-    def _insert(self, node: ir.Node) -> None:
+    def _insert_node(self, node: ir.Node) -> None:
         self.graph.insert_before(self.node, node)
         if used_names := self.graph.meta.get(_USED_NAMES_METADATA_KEY):
             used_names.update(value.name for value in node.outputs)

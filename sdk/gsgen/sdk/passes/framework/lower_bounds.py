@@ -15,7 +15,7 @@ _BOUND_KEEPING_OPERATORS = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
     *("Transpose", "Unsqueeze", "ReduceMax", "ReduceMean", "ReduceMin", "Split"),
 )
-_NOT_NEGATIVE = (
+_NONNEGATIVE_OPERATORS = (
     *("Abs", "Exp", "ReduceL1", "ReduceL2", "ReduceSumSquare", "Sigmoid", "Softmax"),
     *("Softplus", "HardSigmoid"),
 )
@@ -57,7 +57,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
 
     if is_op(node, *_BOUND_KEEPING_OPERATORS):
         return input_bound(0)
-    if is_op(node, *_NOT_NEGATIVE) or _is_square_node(node):
+    if is_op(node, *_NONNEGATIVE_OPERATORS) or _is_square_node(node):
         return 0.0
     if is_op(node, "Relu"):
         return max(0.0, input_bound(0))
@@ -96,10 +96,10 @@ def _replaces_zero(value: ir.Value) -> bool:
     test = node.inputs[0].producer() if is_op(node, "Where") and node.inputs[0] else None  # type: ignore[union-attr]
     if node is None or test is None or not is_op(test, "Equal", "Greater"):
         return False
-    zero, if_true, if_false = constant_of(test.inputs[1]), *node.inputs[1:3]
+    zero, value_if_true, value_if_false = constant_of(test.inputs[1]), *node.inputs[1:3]
     if zero is None:
         return False
     if is_op(test, "Equal"):
-        return not zero.any() and if_false is test.inputs[0] and is_never_zero(if_true)
+        return not zero.any() and value_if_false is test.inputs[0] and is_never_zero(value_if_true)
     is_not_negative = bool((zero >= 0).all())
-    return is_not_negative and if_true is test.inputs[0] and is_never_zero(if_false)
+    return is_not_negative and value_if_true is test.inputs[0] and is_never_zero(value_if_false)

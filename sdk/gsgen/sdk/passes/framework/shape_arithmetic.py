@@ -19,9 +19,9 @@ def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
     because sums and products round differently on other machines.
     """
     known = [array for array in inputs if array is not None]
-    evaluator = _ANY_DTYPE.get(node.op_type)
+    evaluator = _EVALUATORS_FOR_ANY_DTYPE.get(node.op_type)
     if evaluator is None and all(array.dtype.kind in "iub" for array in known):
-        evaluator = _INTEGERS_ONLY.get(node.op_type)
+        evaluator = _EVALUATORS_FOR_INTEGERS.get(node.op_type)
     if evaluator is None:
         return None
     with np.errstate(all="raise"):
@@ -41,7 +41,7 @@ def _binary(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluat
     return run
 
 
-def _variadic(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
+def _variadic_evaluator(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
         result, *operands = [array for array in inputs if array is not None]
         for operand in operands:
@@ -59,7 +59,7 @@ def _unary(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
     return run
 
 
-def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _divide_toward_zero(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Divide integers and round towards zero, as C does."""
     if not np.all(b):
         raise ZeroDivisionError
@@ -162,11 +162,11 @@ def _concat(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _evaluate_where(_: ir.Node, inputs: Arrays) -> np.ndarray:
-    condition, if_true, if_false = inputs
+    condition, value_if_true, value_if_false = inputs
     assert condition is not None
-    assert if_true is not None
-    assert if_false is not None
-    return np.asarray(np.where(condition, if_true, if_false))
+    assert value_if_true is not None
+    assert value_if_false is not None
+    return np.asarray(np.where(condition, value_if_true, value_if_false))
 
 
 def _evaluate_expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
@@ -199,7 +199,7 @@ def _are_whole_numbers(*numbers: np.ndarray) -> bool:
 
 
 Evaluator = Callable[[ir.Node, Arrays], np.ndarray]
-_ANY_DTYPE: dict[str, Evaluator] = {
+_EVALUATORS_FOR_ANY_DTYPE: dict[str, Evaluator] = {
     "Cast": _cast,
     "Concat": _concat,
     "ConstantOfShape": _constant_of_shape,
@@ -219,9 +219,9 @@ _ANY_DTYPE: dict[str, Evaluator] = {
     "Unsqueeze": _unsqueeze,
     "Where": _evaluate_where,
 }
-_INTEGERS_ONLY: dict[str, Evaluator] = {
+_EVALUATORS_FOR_INTEGERS: dict[str, Evaluator] = {
     "Abs": _unary(np.abs), "Add": _binary(np.add), "And": _binary(np.logical_and),
-    "Div": _binary(_divide), "Max": _variadic(np.maximum), "Min": _variadic(np.minimum),
+    "Div": _binary(_divide_toward_zero), "Max": _variadic_evaluator(np.maximum), "Min": _variadic_evaluator(np.minimum),
     "Mod": _modulo, "Mul": _binary(np.multiply), "Neg": _unary(np.negative),
     "Not": _unary(np.logical_not), "Or": _binary(np.logical_or), "ReduceMax": _reduce(np.max),
     "ReduceMin": _reduce(np.min), "ReduceProd": _reduce(np.prod), "ReduceSum": _reduce(np.sum),

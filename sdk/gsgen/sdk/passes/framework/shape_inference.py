@@ -8,7 +8,7 @@ import onnx
 import onnx_ir as ir
 from onnx_ir.passes.common import ShapeInferencePass
 
-_CONTAINERS = ("seq(", "optional(", "map(")
+_CONTAINER_TYPE_PREFIXES = ("seq(", "optional(", "map(")
 
 
 def infer_shapes(model: ir.Model) -> None:
@@ -40,9 +40,9 @@ def _container_types(model: ir.Model) -> dict[ir.Value, ir.TypeProtocol | None]:
         by_name = {value.name: value for value in _values(inferred_graph)}
         for value in _values(graph):
             known = by_name.get(value.name)
-            found_type = value.type if known is None or known.type is None else known.type
-            if isinstance(found_type, ir.SequenceType | ir.OptionalType):
-                types[value] = found_type
+            merged_type = value.type if known is None or known.type is None else known.type
+            if isinstance(merged_type, ir.SequenceType | ir.OptionalType):
+                types[value] = merged_type
     return types
 
 
@@ -69,6 +69,6 @@ def _makes_container(node: ir.Node) -> bool:
         return False
     return any(
         formal_parameter.types
-        and all(name.startswith(_CONTAINERS) for name in formal_parameter.types)
+        and all(name.startswith(_CONTAINER_TYPE_PREFIXES) for name in formal_parameter.types)
         for formal_parameter in schema.outputs
     )

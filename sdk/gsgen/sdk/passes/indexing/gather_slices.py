@@ -100,13 +100,13 @@ def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
         size = shape[axis]
         if step < 0 and (end >= UNBOUNDED_END or size == 0):
             return None  # the ONNX standard and ONNX Runtime disagree
-        indices = np.arange(size, dtype=np.int64)[slice(*_clipped(begin, end, step, size))]
+        indices = np.arange(size, dtype=np.int64)[slice(*_clipped_slice(begin, end, step, size))]
         if len(indices) != size or step != 1:
             parts.append((int(axis) % len(shape), indices))
     return parts
 
 
-def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | None, int]:
+def _clipped_slice(begin: int, end: int, step: int, size: int) -> tuple[int, int | None, int]:
     """Convert the bounds of an ONNX Slice to those of a Python slice."""
     first = int(begin) + size if begin < 0 else int(begin)
     end_index = int(end) + size if end < 0 else int(end)

@@ -194,8 +194,8 @@ class _RemainderMatch:
 
     def _low_bits(self, value: ir.Value, bits: int) -> ir.Value:
         size = self._constant(np.array(1 << bits))
-        multiple = self.write.op("Mul", self.write.op("Div", value, size), size)
-        return self.write.op("Sub", value, multiple)
+        multiple_of_size = self.write.op("Mul", self.write.op("Div", value, size), size)
+        return self.write.op("Sub", value, multiple_of_size)
 
     def _xor_digits(self, a: ir.Value, b: ir.Value) -> ir.Value:
         """Return the exclusive or of two values below 2ᵏ, by a look-up for every seven bits."""

@@ -19,7 +19,7 @@ _REDUCTIONS = {"add": "ReduceSum", "mul": "ReduceProd", "max": "ReduceMax", "min
 # The number that a sum or a product does not change; extremes repeat an element instead.
 _NEUTRAL_BY_REDUCTION = {"add": 0, "mul": 1}
 # The table of groups is at most this many times as large as the tensors that it gathers from.
-_MAX_PADDING = 16
+_MAX_PADDING_ROWS = 16
 
 
 class ReduceScatters(CautiousNodeRewrite):
@@ -41,7 +41,9 @@ class ReduceScatters(CautiousNodeRewrite):
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether a node is a scatter with a reduction."""
-        return is_op(node, "ScatterElements", "ScatterND") and _reduction(node) in _REDUCTIONS
+        return (
+            is_op(node, "ScatterElements", "ScatterND") and _scatter_reduction(node) in _REDUCTIONS
+        )
 
     def obstacle(self, node: ir.Node) -> str:
         """Return the reason why a scatter cannot be rewritten as a reduction; empty if it can."""
@@ -50,17 +52,17 @@ class ReduceScatters(CautiousNodeRewrite):
             return obstacle
         targets = scatter_targets(node)
         most = int(np.bincount(targets.flat).max(initial=0))
-        if targets.rows * (1 + most) > _MAX_PADDING * (targets.rows + targets.flat.size):
+        if targets.rows * (1 + most) > _MAX_PADDING_ROWS * (targets.rows + targets.flat.size):
             return f"one row has {most} updates, most have far fewer"
         return ""
 
     def replace(self, node: ir.Node) -> None:
         """Replace a scatter by a reduction of each old row with the row's updates."""
         targets = scatter_targets(node)
-        _replace(node, targets, _groups(targets), _reduction(node))
+        _replace(node, targets, _groups(targets), _scatter_reduction(node))
 
 
-def _reduction(node: ir.Node) -> str:
+def _scatter_reduction(node: ir.Node) -> str:
     attribute = node.attributes.get("reduction")
     return "none" if attribute is None else attribute.as_string()
 

@@ -175,14 +175,14 @@ class _Sampler:
         """Clamp pixel coordinates to the pixels of an axis; NaN becomes 0."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
-        not_negative = op("Where", positive, value, zero, dtype=self.dtype)
-        is_small = op("Less", not_negative, last, dtype=ir.DataType.BOOL)
-        return op("Where", is_small, not_negative, last, dtype=self.dtype)
+        nonnegative_value = op("Where", positive, value, zero, dtype=self.dtype)
+        is_small = op("Less", nonnegative_value, last, dtype=ir.DataType.BOOL)
+        return op("Where", is_small, nonnegative_value, last, dtype=self.dtype)
 
     def _mask_outside(self, index: ir.Value, weight: ir.Value, last: ir.Value) -> ir.Value:
         op, zero = self.before.op, self.number(0)
-        is_above = op("GreaterOrEqual", index, zero, dtype=ir.DataType.BOOL)
-        masked_weight = op("Where", is_above, weight, zero, dtype=self.dtype)
+        is_above_zero = op("GreaterOrEqual", index, zero, dtype=ir.DataType.BOOL)
+        masked_weight = op("Where", is_above_zero, weight, zero, dtype=self.dtype)
         is_below = op("LessOrEqual", index, last, dtype=ir.DataType.BOOL)
         return op("Where", is_below, masked_weight, zero, dtype=self.dtype)
 

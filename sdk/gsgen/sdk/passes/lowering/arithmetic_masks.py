@@ -57,7 +57,7 @@ class ArithmeticMasks(SubstituteNodes):
         indices = _computed_inputs(node)
         numbers = {index: _as_number(write, node.inputs[index]) for index in indices}
         if is_op(node, *_LOGIC_OPERATORS):  # Case 1: an operator that computes with truth values
-            results = [_logic(write, node.op_type, *numbers.values())]
+            results = [_write_logic_operator(write, node.op_type, *numbers.values())]
         else:  # Case 2: an operator that moves elements
             inputs = [numbers.get(index, value) for index, value in enumerate(node.inputs)]
             attributes = attribute_values(node)
@@ -97,7 +97,7 @@ def _as_number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
     return number
 
 
-def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
+def _write_logic_operator(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
     a, b = numbers
     if kind == "And":
         return write.op("Mul", a, b)

@@ -48,7 +48,7 @@ class LowerSplitsToSlices(NodeRewrite):
         producer = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
         write, axis = InsertionPoint(node), _axis(node)
         if is_op(producer, "Transpose"):  # Case 2
-            write.replace(_gather_then_transpose(write, node, producer, axis))
+            write.replace(_write_gather_and_transpose(write, node, producer, axis))
             return
         # Case 1: gather from each piece, and join the parts.
         piece_indices = required(_indices_per_piece(node, producer))
@@ -97,7 +97,7 @@ def _indices_per_piece(node: ir.Node, concat: ir.Node) -> list[tuple[ir.Value, l
     return pieces if pieces and len(pieces) <= len(concat.inputs) else None
 
 
-def _gather_then_transpose(
+def _write_gather_and_transpose(
     write: InsertionPoint, node: ir.Node, transpose: ir.Node, axis: int
 ) -> ir.Value:
     """Gather from the input of a Transpose, and transpose the result."""

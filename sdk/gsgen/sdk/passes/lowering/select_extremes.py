@@ -50,13 +50,15 @@ class SelectExtremes(SubstituteNodes):
             result = first
             for argument in node.inputs[1:]:
                 assert argument is not None
-                result = _elementwise_extreme(write, node.op_type, result, argument)
+                result = _write_elementwise_extreme(write, node.op_type, result, argument)
         if result is first:
             result = write.op("Identity", first)
         write.replace(result)
 
 
-def _elementwise_extreme(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
+def _write_elementwise_extreme(
+    write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value
+) -> ir.Value:
     """Return the larger or smaller of two values; NaN if one of them is NaN."""
     for x, bound_value in ((a, b), (b, a)):
         bound = _finite_number(bound_value)
@@ -77,8 +79,8 @@ def _replace_beyond_bound(
     write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value
 ) -> ir.Value:
     """Clamp a graph value at a bound, by replacing the elements beyond the bound."""
-    is_beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
-    return write.op("Where", is_beyond, bound, x, dtype=x.dtype)
+    is_beyond_bound = write.op(test, x, bound, dtype=ir.DataType.BOOL)
+    return write.op("Where", is_beyond_bound, bound, x, dtype=x.dtype)
 
 
 def _finite_number(value: ir.Value) -> np.ndarray | None:

@@ -47,13 +47,13 @@ class UnrollControlFlow(SkippableRewrite):
         refused_nodes: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:
-            candidates = (node for node in every_node(model) if is_op(node, *_UNROLLERS))
+            candidates = (node for node in every_node(model) if is_op(node, *_UNROLLER_BY_OPERATOR))
             node = next(
                 (candidate for candidate in candidates if candidate not in refused_nodes), None
             )
             if node is None:
                 return
-            plan = _UNROLLERS[node.op_type](node, self)
+            plan = _UNROLLER_BY_OPERATOR[node.op_type](node, self)
             if self.opset < _AXES_AS_INPUT:
                 plan = f"operator set is {self.opset}, expected {_AXES_AS_INPUT} or later"
             if isinstance(plan, str):
@@ -76,7 +76,7 @@ class UnrollControlFlow(SkippableRewrite):
 UnrollPlan = str | Callable[[], None]
 
 
-def _unroll_if(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
+def _unroll_if_node(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that inserts the taken branch of an If node, or why that is impossible."""
     known = _known_array(node.inputs[0])
     if known is None:
@@ -91,7 +91,7 @@ def _unroll_if(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     return write
 
 
-def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
+def _unroll_loop_node(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that unrolls a Loop node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
     iterations = _trip_count(node, body)
@@ -108,15 +108,19 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
         state = [_require_value(value) for value in node.inputs[2:]]
-        lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried_value_count:]]
-        is_always = before.constant(np.asarray(True), "go_on")
+        stacked_results: list[list[ir.Value]] = [[] for _ in node.outputs[carried_value_count:]]
+        true_condition = before.constant(np.asarray(True), "go_on")
         for turn in range(iterations):
             number = before.constant(np.asarray(turn, np.int64), "turn")
-            _, *results = copy((number, is_always, *state))
+            _, *results = copy((number, true_condition, *state))
             state = results[:carried_value_count]
-            for results_list, value in zip(lists, results[carried_value_count:], strict=True):
+            for results_list, value in zip(
+                stacked_results, results[carried_value_count:], strict=True
+            ):
                 results_list.append(value)
-        before.replace(*state, *(_stack_values(before, results_list, 0) for results_list in lists))
+        before.replace(
+            *state, *(_stack_values(before, results_list, 0) for results_list in stacked_results)
+        )
 
     return write
 
@@ -152,22 +156,22 @@ def _skip_identities(value: ir.Value) -> ir.Value:
     return value
 
 
-def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
+def _unroll_scan_node(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
     """Return a function that unrolls a Scan node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
     scanned_count = node.attributes["num_scan_inputs"].as_int()
     carried_value_count = len(node.inputs) - scanned_count
     if len(body.inputs) != len(node.inputs):
         return "it is a Scan of operator set 8, which has other inputs"
-    in_axes = _int_list(node, "scan_input_axes", scanned_count)
+    scan_input_axes = _int_list(node, "scan_input_axes", scanned_count)
     backward_flags = _int_list(node, "scan_input_directions", scanned_count)
-    out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_value_count)
+    scan_output_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried_value_count)
     prepended_flags = _int_list(
         node, "scan_output_directions", len(node.outputs) - carried_value_count
     )
     sizes = {
         _axis_size(value, axis)
-        for value, axis in zip(node.inputs[carried_value_count:], in_axes, strict=True)
+        for value, axis in zip(node.inputs[carried_value_count:], scan_input_axes, strict=True)
     }
     if len(sizes) != 1 or None in sizes:
         return "the length of its scanned inputs is not known"
@@ -182,7 +186,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
         before = InsertionPoint(node)
         copy = _BodyCopier(before, body, rewrite.used_names)
         state = [_require_value(value) for value in node.inputs[:carried_value_count]]
-        lists: list[list[ir.Value]] = [[] for _ in out_axes]
+        stacked_results: list[list[ir.Value]] = [[] for _ in scan_output_axes]
         for turn in range(iterations):
             rows = [
                 before.op(
@@ -194,17 +198,19 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
                     axis=axis,
                 )
                 for value, axis, is_backward in zip(
-                    node.inputs[carried_value_count:], in_axes, backward_flags, strict=True
+                    node.inputs[carried_value_count:], scan_input_axes, backward_flags, strict=True
                 )
             ]
             results = copy((*state, *rows))
             state = results[:carried_value_count]
-            for results_list, value in zip(lists, results[carried_value_count:], strict=True):
+            for results_list, value in zip(
+                stacked_results, results[carried_value_count:], strict=True
+            ):
                 results_list.append(value)
         joined_values = [
             _stack_values(before, results_list[::-1] if is_backward else results_list, axis)
             for results_list, axis, is_backward in zip(
-                lists, out_axes, prepended_flags, strict=True
+                stacked_results, scan_output_axes, prepended_flags, strict=True
             )
         ]
         before.replace(*state, *joined_values)
@@ -229,10 +235,10 @@ def _require_value(value: ir.Value | None) -> ir.Value:
     return value
 
 
-_UNROLLERS: dict[str, Callable[[ir.Node, UnrollControlFlow], UnrollPlan]] = {
-    "If": _unroll_if,
-    "Loop": _write_loop,
-    "Scan": _write_scan,
+_UNROLLER_BY_OPERATOR: dict[str, Callable[[ir.Node, UnrollControlFlow], UnrollPlan]] = {
+    "If": _unroll_if_node,
+    "Loop": _unroll_loop_node,
+    "Scan": _unroll_scan_node,
 }
 
 
@@ -244,9 +250,9 @@ class _BodyCopier:
         self.stem = before.node.name or before.node.outputs[0].name or before.node.op_type
         self.turn = 0
         for value in list(body.initializers.values()):
-            self._lift_to_outer_graph(value)
+            self._lift_value_to_outer_graph(value)
 
-    def _lift_to_outer_graph(self, value: ir.Value) -> None:
+    def _lift_value_to_outer_graph(self, value: ir.Value) -> None:
         """Move a weight of a loop body to the surrounding graph, so that all copies share it."""
         outer_value = ir.Value(
             name=self._new_name(f"{self.stem}_{value.name}"),
@@ -290,8 +296,12 @@ def _stack_values(before: InsertionPoint, values: Sequence[ir.Value], axis: int)
     rank = rank_of(values[0])
     if axis < 0 and rank is not None:
         axis += rank + 1
-    unsqueezed = [before.op("Unsqueeze", value, before.int64(axis)) for value in values]
-    return unsqueezed[0] if len(unsqueezed) == 1 else before.op("Concat", *unsqueezed, axis=axis)
+    unsqueezed_values = [before.op("Unsqueeze", value, before.int64(axis)) for value in values]
+    return (
+        unsqueezed_values[0]
+        if len(unsqueezed_values) == 1
+        else before.op("Concat", *unsqueezed_values, axis=axis)
+    )
 
 
 def _used_names(model: ir.Model) -> set[str | None]:

@@ -68,11 +68,15 @@ class _Formula:
         ]
         return self.write.op(kind, *values)
 
-    def where(self, test: str, bound: float, if_true: ir.Value, if_false: ir.Value) -> ir.Value:
-        """Insert a Where that returns ``if_true`` if x is beyond a bound, else ``if_false``."""
+    def where(
+        self, test: str, bound: float, value_if_true: ir.Value, value_if_false: ir.Value
+    ) -> ir.Value:
+        """Insert a Where that returns ``value_if_true`` if x is beyond a bound, else ``value_if_false``."""
         limit = self.number(bound)
-        is_beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
-        return self.write.op("Where", is_beyond, if_true, if_false, dtype=self.x.dtype)
+        is_beyond_bound = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
+        return self.write.op(
+            "Where", is_beyond_bound, value_if_true, value_if_false, dtype=self.x.dtype
+        )
 
     def negative_part(self) -> ir.Value:
         """Insert min(x, 0) of an activation's argument x into the graph; return the result."""
@@ -110,8 +114,8 @@ def _softplus(f: _Formula) -> ir.Value:
 
 
 def _gelu(f: _Formula) -> ir.Value:
-    approximation = f.node.attributes.get("approximate")
-    if approximation is not None and approximation.as_string() == "tanh":
+    approximation_mode = f.node.attributes.get("approximate")
+    if approximation_mode is not None and approximation_mode.as_string() == "tanh":
         cube = f.op("Mul", f.op("Mul", f.x, f.x), f.x)
         argument = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
         gate_value = f.op("Tanh", f.op("Mul", argument, math.sqrt(2 / math.pi)))

@@ -138,7 +138,7 @@ def _root_mean_square(norm: _NormWriter) -> None:
     norm.finish(norm.scaled(norm.op("Mul", norm.x, inverse), norm.argument(1), None))
 
 
-def _instance(norm: _NormWriter) -> None:
+def _write_instance_norm(norm: _NormWriter) -> None:
     axes = list(range(2, norm.rank))
     centred = norm.op("Sub", norm.x, norm.reduced("ReduceMean", norm.x, axes))
     inverse = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
@@ -194,7 +194,7 @@ def _mean_variance(norm: _NormWriter) -> None:
 
 _NORM_WRITERS: dict[str, Callable[[_NormWriter], None]] = {
     "GroupNormalization": _group_norm,
-    "InstanceNormalization": _instance,
+    "InstanceNormalization": _write_instance_norm,
     "LayerNormalization": _layer_norm,
     "LpNormalization": _lp_norm,
     "MeanVarianceNormalization": _mean_variance,

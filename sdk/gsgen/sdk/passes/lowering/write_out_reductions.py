@@ -34,10 +34,10 @@ class WriteOutReductions(SubstituteNodes):
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether a node reduces floats over at least one axis."""
         value = node.inputs[0]
-        is_noop = int_attribute(node, "noop_with_empty_axes", 0)
+        is_noop_with_empty_axes = int_attribute(node, "noop_with_empty_axes", 0)
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
         floats = value is not None and value.dtype is not None and value.dtype.is_floating_point()
-        return floats and (not is_noop or (axes is not None and axes.size > 0))
+        return floats and (not is_noop_with_empty_axes or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
         """Replace a composite reduction by its formula with ReduceSum or ReduceMax."""
@@ -68,8 +68,8 @@ def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.V
         finite = write.op("Less", write.op("Abs", largest), infinity, dtype=ir.DataType.BOOL)
         return write.op("Where", finite, largest, zero, dtype=x.dtype)
 
-    largest_keepdims = finite_or_zero(reduced("ReduceMax", x, keep_axes=1))
-    exponentials = write.op("Exp", write.op("Sub", x, largest_keepdims))
+    largest_with_kept_axes = finite_or_zero(reduced("ReduceMax", x, keep_axes=1))
+    exponentials = write.op("Exp", write.op("Sub", x, largest_with_kept_axes))
     reduced_maximum = finite_or_zero(reduced("ReduceMax", x))
     return write.op("Add", write.op("Log", reduced("ReduceSum", exponentials)), reduced_maximum)
 

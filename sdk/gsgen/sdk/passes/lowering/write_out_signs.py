@@ -48,8 +48,10 @@ class WriteOutSigns(SubstituteNodes):
         def compare(comparison: str, a: ir.Value, b: ir.Value) -> ir.Value:
             return write.op(comparison, a, b, dtype=ir.DataType.BOOL)
 
-        def where(condition: ir.Value, if_true: ir.Value, if_false: ir.Value) -> ir.Value:
-            return write.op("Where", condition, if_true, if_false, dtype=x.dtype)
+        def where(
+            condition: ir.Value, value_if_true: ir.Value, value_if_false: ir.Value
+        ) -> ir.Value:
+            return write.op("Where", condition, value_if_true, value_if_false, dtype=x.dtype)
 
         zero = number(0)
         match node.op_type:
@@ -82,13 +84,13 @@ def _is_infinite(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     assert x.dtype is not None
     kind = x.dtype.numpy()
     end = write.constant(np.asarray(np.inf, kind), "number")
-    detects_positive, detects_negative = (
+    positive_detector, negative_detector = (
         int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative")
     )
-    if detects_positive and detects_negative:
+    if positive_detector and negative_detector:
         x = write.op("Abs", x)
-    elif detects_negative:
+    elif negative_detector:
         x = write.op("Neg", x)
-    elif not detects_positive:  # no sign is selected, so no number may compare as equal
+    elif not positive_detector:  # no sign is selected, so no number may compare as equal
         end = write.constant(np.asarray(np.nan, kind), "number")
     return write.op("Equal", x, end, dtype=ir.DataType.BOOL)

@@ -45,12 +45,14 @@ class EndOutputsOnCompute(Rewrite):
 def _does_only_copy(node: ir.Node) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
-    is_noop = node.attributes.get_int("noop_with_empty_axes", 0) == 1
-    has_axes = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
+    is_noop_with_empty_axes = node.attributes.get_int("noop_with_empty_axes", 0) == 1
+    has_axes_attribute = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
     axes = node.inputs[1] if len(node.inputs) > 1 else None
     is_empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
     return is_copy(
-        node.op_type, len(node.inputs), keeps_all_axes=is_noop and is_empty and not has_axes
+        node.op_type,
+        len(node.inputs),
+        keeps_all_axes=is_noop_with_empty_axes and is_empty and not has_axes_attribute,
     )
 
 

@@ -94,10 +94,10 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
         results = write.ops(node.op_type, len(node.outputs), *inputs, **attributes)
         outputs = []
         for old, value in zip(node.outputs, results, strict=True):
-            was_int64 = old.dtype == _INT64
-            value.type = ir.TensorType(_INT32) if was_int64 else old.type
+            is_int64_before = old.dtype == _INT64
+            value.type = ir.TensorType(_INT32) if is_int64_before else old.type
             value.shape = old.shape
-            outputs.append(_cast(write, value, _INT64) if was_int64 else value)
+            outputs.append(_cast(write, value, _INT64) if is_int64_before else value)
             if old.name in spans:
                 spans |= dict.fromkeys((value.name or "", outputs[-1].name or ""), spans[old.name])
         write.replace(*outputs)

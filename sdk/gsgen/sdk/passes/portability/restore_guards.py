@@ -18,7 +18,7 @@ _MOVE_OPERATORS = (
     *("Transpose", "Unsqueeze"),
 )
 # The numbers that replace a length of zero, and its square.
-_MIN_LENGTH, _MIN_SQUARE = 1e-12, 1e-24
+_MIN_LENGTH, _MIN_SQUARED_LENGTH = 1e-12, 1e-24
 
 
 class RestoreGuards(SkippableRewrite):
@@ -49,7 +49,7 @@ class RestoreGuards(SkippableRewrite):
             if divisor.dtype not in FLOAT_TYPES or is_never_zero(divisor):
                 continue
             if constant_of(divisor) is not None or not (
-                _is_vector_length(divisor) or _is_square(divisor)
+                _is_vector_length(divisor) or _is_squared_length(divisor)
             ):
                 self.refuse(node, f"its divisor {divisor.name} may be zero, and is not a length")
                 continue
@@ -70,7 +70,7 @@ def _divisor_index(node: ir.Node) -> int | None:
 def _insert_guard(node: ir.Node, divisor_index: int) -> None:
     divisor = required(node.inputs[divisor_index])
     assert divisor.dtype is not None
-    minimum = _MIN_LENGTH if _is_vector_length(divisor) else _MIN_SQUARE
+    minimum = _MIN_LENGTH if _is_vector_length(divisor) else _MIN_SQUARED_LENGTH
     smallest, dtype = max(minimum, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
     before = InsertionPoint(node)
     zero, smallest_value = (before.constant(np.asarray(value, dtype)) for value in (0, smallest))
@@ -89,11 +89,13 @@ def _is_vector_length(value: ir.Value | None) -> bool:
         return False
     exponent = constant_of(source_node.inputs[1]) if is_op(source_node, "Pow") else np.array(0.5)
     return (
-        exponent is not None and bool((exponent == 0.5).all()) and _is_square(source_node.inputs[0])
+        exponent is not None
+        and bool((exponent == 0.5).all())
+        and _is_squared_length(source_node.inputs[0])
     )
 
 
-def _is_square(value: ir.Value | None) -> bool:
+def _is_squared_length(value: ir.Value | None) -> bool:
     """Return whether a graph value is a sum or mean of squares, i.e. a squared length."""
     source_node = _producer_behind_guards(value)
     if source_node is None:
@@ -101,9 +103,11 @@ def _is_square(value: ir.Value | None) -> bool:
     if is_op(source_node, "ReduceSumSquare") or _is_one_square(source_node):
         return True
     if is_op(source_node, "ReduceSum", "ReduceMean"):
-        return _is_square(source_node.inputs[0])
+        return _is_squared_length(source_node.inputs[0])
     if is_op(source_node, "Add"):
-        return _is_square(source_node.inputs[0]) and _is_square(source_node.inputs[1])
+        return _is_squared_length(source_node.inputs[0]) and _is_squared_length(
+            source_node.inputs[1]
+        )
     return False
 
 

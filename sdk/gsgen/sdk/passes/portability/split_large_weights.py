@@ -134,8 +134,8 @@ def _splitting_axis(
         return (1, _split_matmul_columns) if input_index == 1 else (0, _split_matmul_rows)
     # Case 3
     if is_op(node, "Gemm") and input_index == 1:
-        addend = node.inputs[2] if len(node.inputs) > 2 else None
-        if addend is None or constant_of(addend, largest=1 << 62) is not None:
+        bias_operand = node.inputs[2] if len(node.inputs) > 2 else None
+        if bias_operand is None or constant_of(bias_operand, largest=1 << 62) is not None:
             return (0 if int_attribute(node, "transB", 0) else 1), _split_gemm
     return f"{node.op_type} {node.name or ''} reads it whole".replace("  ", " ")
 

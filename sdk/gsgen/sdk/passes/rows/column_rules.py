@@ -60,7 +60,7 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
         known = all(constant_of(value) is not None for value in node.inputs[1:])
         return int_attribute(node, "axis", 0) % len(shape) > 0 and known
     if is_op(node, "Slice"):
-        return _slices(node, len(shape)) is not None
+        return _slices_of_node(node, len(shape)) is not None
     if is_op(node, "Split"):
         return int_attribute(node, "axis", 0) % len(shape) > 0 and split_sizes(node) is not None
     return False
@@ -100,7 +100,7 @@ def columns_of(
         gathered_columns[...] = np.take(columns, indices, axis)  # a single index returns no array
         return [gathered_columns]
     if is_op(node, "Slice"):
-        slices = required(_slices(node, columns.ndim + 1))
+        slices = required(_slices_of_node(node, columns.ndim + 1))
         return [columns[slices]]
     sizes = required(split_sizes(node))
     return list(np.split(columns, np.cumsum(sizes)[:-1], axis))
@@ -186,7 +186,7 @@ def _axes(node: ir.Node, rank: int) -> list[int]:
     return [] if known is None else [int(axis) % rank for axis in known.reshape(-1)]
 
 
-def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
+def _slices_of_node(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
     """Return the ranges of a Slice on axes after the first; None if it slices the first axis."""
     arguments = [constant_of(value) for value in node.inputs[1:] if value is not None]
     if len(arguments) != len(node.inputs) - 1 or any(array is None for array in arguments):

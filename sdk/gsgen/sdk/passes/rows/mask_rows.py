@@ -116,7 +116,7 @@ class _MaskingAttempt:
         for node in self.graph:
             self._refuse_subgraphs(node)
             self.draft.anchor = node
-            self._propagate(node)
+            self._propagate_fact(node)
         self.draft.anchor = None
         return self._new_outputs()
 
@@ -142,7 +142,7 @@ class _MaskingAttempt:
                 if any(_does_vary_by_row(fact) for fact in facts):
                     raise MaskBlocked(inner, "a subgraph reads rows of a mask", _masks(facts))
 
-    def _propagate(self, node: ir.Node) -> None:
+    def _propagate_fact(self, node: ir.Node) -> None:
         facts = [None if value is None else self.facts.get(value) for value in node.inputs]
         if not any(fact is not None for fact in facts):
             fact = self._source_row_fact(node)

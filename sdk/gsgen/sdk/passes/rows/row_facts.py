@@ -108,16 +108,16 @@ def read_mask(value: ir.Value | None) -> Mask | None:
     unsqueeze = producer.inputs[0].producer() if producer.inputs[0] is not None else None
     if inner_shape is None or unsqueeze is None or not is_op(unsqueeze, "Unsqueeze"):
         return Mask(root, dims)
-    base_mask = _truth_source(unsqueeze.inputs[0])
-    base_shape = fixed_shape(base_mask)
+    source_mask = _truth_source(unsqueeze.inputs[0])
+    base_shape = fixed_shape(source_mask)
     if (
-        base_mask is None
+        source_mask is None
         or base_shape is None
         or inner_shape != (*base_shape, *[1] * (len(inner_shape) - len(base_shape)))
     ):
         return Mask(root, dims)
     same_rank = len(dims) == len(inner_shape) and dims[: len(base_shape)] == base_shape
-    return Mask(base_mask, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
+    return Mask(source_mask, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
 
 
 def _truth_source(value: ir.Value | None) -> ir.Value | None:

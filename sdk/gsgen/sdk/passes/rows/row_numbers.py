@@ -57,7 +57,7 @@ def mask_count(node: ir.Node) -> Linear | None:
 
 def shape_fact(node: ir.Node, fact: RowTensorFact) -> Linear | None:
     """Return a tensor's shape as formulas of K, the number of rows that a mask selects."""
-    dims = _dims(fact)
+    dims = _dims_of_fact(fact)
     end = node.attributes.get("end")
     start = int_attribute(node, "start", 0)
     sizes = dims[start : None if end is None else end.as_int()]
@@ -68,7 +68,7 @@ def shape_fact(node: ir.Node, fact: RowTensorFact) -> Linear | None:
     return Linear(fact.mask, constant, factor, varies=True)
 
 
-def _dims(fact: RowTensorFact) -> list[int | None]:
+def _dims_of_fact(fact: RowTensorFact) -> list[int | None]:
     """Return the sizes of a tensor, with None for the number K of selected rows."""
     if isinstance(fact, Rows) and not fact.flat:
         shape: list[int | None] = list(fixed_shape(fact.value) or ())

@@ -167,8 +167,10 @@ def _matmul_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
     (axis,) = negative_axes
     if axis > -3:  # Case 2: rows of the left matrix, or columns of the right one
         operand_index = 0 if axis == -2 else 1
-        is_only_rows = isinstance(facts[operand_index], Rows) and facts[1 - operand_index] is None
-        return result_rank + axis if is_only_rows else None
+        is_single_row_operand = (
+            isinstance(facts[operand_index], Rows) and facts[1 - operand_index] is None
+        )
+        return result_rank + axis if is_single_row_operand else None
     for value, fact in zip(values, facts, strict=True):
         shape = value.shape if value is not None else None
         if fact is None and (shape is None or (len(shape) >= -axis and shape[axis] != 1)):
@@ -190,15 +192,17 @@ def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
         or not row_facts
     ):
         return None
-    letters = {
+    einsum_letters = {
         term[fact.axis] for term, fact in zip(terms, facts, strict=True) if isinstance(fact, Rows)
     }
     other_letters = "".join(
         t for t, fact in zip(terms, facts, strict=True) if not isinstance(fact, Rows)
     )
-    if len(letters) != 1 or any(fact is not None and fact not in row_facts for fact in facts):
+    if len(einsum_letters) != 1 or any(
+        fact is not None and fact not in row_facts for fact in facts
+    ):
         return None
-    (letter,) = letters
+    (letter,) = einsum_letters
     is_used_once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
     if not is_used_once or letter in other_letters:
         return None
@@ -258,7 +262,7 @@ def _reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
     )
 
 
-def _along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _apply_along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     if is_op(node, "CumSum"):
         known = constant_of(node.inputs[1])
@@ -267,8 +271,8 @@ def _along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> 
         axis = int_attribute(node, "axis", 0 if is_op(node, "ArgMax", "ArgMin") else -1) % rank
     if axis is None or axis == rows.axis:
         return None
-    drops_axis = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
-    row_axis = rows.axis - (1 if drops_axis and axis < rows.axis else 0)
+    does_drop_axis = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
+    row_axis = rows.axis - (1 if does_drop_axis and axis < rows.axis else 0)
     return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
@@ -378,7 +382,7 @@ _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
     "Squeeze": _squeeze,
     "Transpose": _transpose,
     "Unsqueeze": _unsqueeze,
-    **dict.fromkeys(_AXIS_OPERATORS, _along_axis),
+    **dict.fromkeys(_AXIS_OPERATORS, _apply_along_axis),
     **dict.fromkeys(
         (
             *("ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax"),

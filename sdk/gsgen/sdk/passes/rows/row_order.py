@@ -31,16 +31,18 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
     # Step 1: the prefix sum; its last element is the count.
     flags = draft.op("Cast", mask, dtype=_INT32, shape=[size], to=_INT32.value)
     axis = draft.constant(0, np.int64)
-    sums = draft.op("CumSum", flags, axis, dtype=_INT32, shape=[size])
+    cumulative_sums = draft.op("CumSum", flags, axis, dtype=_INT32, shape=[size])
     last_index = draft.constant([size - 1], np.int32)
-    count = draft.op("Gather", sums, last_index, dtype=_INT32, shape=[1], axis=0)
+    count = draft.op("Gather", cumulative_sums, last_index, dtype=_INT32, shape=[1], axis=0)
     number = draft.constant(np.arange(size), np.int32)
     live = draft.op("Less", number, count, dtype=_BOOL, shape=[size])
     # Step 2: pad the prefix sum to a power of two; the padding compares as larger than any j.
     bits = size.bit_length()
     padding = (1 << bits) - size
     fill_value = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
-    padded_sums = draft.op("Concat", sums, fill_value, dtype=_INT32, shape=[size + padding], axis=0)
+    padded_sums = draft.op(
+        "Concat", cumulative_sums, fill_value, dtype=_INT32, shape=[size + padding], axis=0
+    )
     zero = draft.constant(0, np.int32)
     kept_rows = draft.constant(np.zeros(size), np.int32)
     # Step 3: set the bits of i from the highest to the lowest.
@@ -48,8 +50,8 @@ def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
         step = 1 << bit
         probe = kept_rows
         if step > 1:
-            index_before_first = draft.constant(step - 1, np.int32)
-            probe = draft.op("Add", kept_rows, index_before_first, dtype=_INT32, shape=[size])
+            last_index_before_range = draft.constant(step - 1, np.int32)
+            probe = draft.op("Add", kept_rows, last_index_before_range, dtype=_INT32, shape=[size])
         prefix = draft.op("Gather", padded_sums, probe, dtype=_INT32, shape=[size], axis=0)
         is_below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
         step_increment = draft.op(

@@ -17,7 +17,7 @@ from gsgen.sdk.passes.rows.column_rules import Columns, EmitNode, columns_of, wo
 
 # A kernel launch costs as much as some ten thousand rows; below this, fewer nodes are faster.
 _MIN_ROWS = 1 << 16
-_MAX_WIDTH = 16
+_MAX_COLUMN_COUNT = 16
 # Nanoseconds per element, measured with ONNX Runtime 1.31 on one core; only their ratios matter.
 # Joining and splitting narrow rows moves four bytes at a time.
 _ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
@@ -99,7 +99,7 @@ def _rows(node: ir.Node) -> int | None:
     if None in shapes or len(rows) != 1:
         return None
     (count,) = rows
-    is_narrow = all(shape and prod(shape[1:]) <= _MAX_WIDTH for shape in shapes)
+    is_narrow = all(shape and prod(shape[1:]) <= _MAX_COLUMN_COUNT for shape in shapes)
     return count if count >= _MIN_ROWS and is_narrow and works_on_columns(node, count) else None
 
 
@@ -220,8 +220,8 @@ def _operator_cost(node: ir.Node, rows: int) -> float:
         return _EXPAND_COST * result_width
     shapes = [fixed_shape(value) for value in node.inputs if value is not None]
     long_shapes = [shape for shape in shapes if shape and shape[0] == rows]
-    broadcasts = any(prod(shape[1:]) != result_width for shape in long_shapes)
-    return (_BROADCAST_COST if broadcasts else _ELEMENTWISE_COST) * result_width
+    does_broadcast = any(prod(shape[1:]) != result_width for shape in long_shapes)
+    return (_BROADCAST_COST if does_broadcast else _ELEMENTWISE_COST) * result_width
 
 
 def _write_operator(
@@ -285,13 +285,13 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
     """
     parts: list[ir.Value] = []
     while columns:
-        run, joined_tensor = _split_run(columns)
+        run, joined_tensor = _split_column_run(columns)
         parts.append(joined_tensor or write.op("Reshape", columns[0], write.int64(rows, 1)))
         columns = columns[run:]
     return parts
 
 
-def _split_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
+def _split_column_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
     """Return how many leading columns are outputs of the same Split, and the Split's input."""
     sources = [_reshape_source(column) for column in columns]
     source_node = sources[0].producer() if sources[0] is not None else None

@@ -44,8 +44,8 @@ class MakeDefaultsExplicit(NodeRewrite):
     def replace(self, node: ir.Node) -> None:
         """Add the omitted dilations or axes of a Conv or Slice."""
         if is_op(node, "Conv"):
-            spatial = (rank_of(node.inputs[0]) or 2) - 2
-            node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)
+            spatial_axis_count = (rank_of(node.inputs[0]) or 2) - 2
+            node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial_axis_count)
             return
         starts = required(constant_of(node.inputs[1]))
         if len(node.inputs) == _AXES_INPUT_INDEX:

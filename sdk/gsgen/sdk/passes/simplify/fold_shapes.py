@@ -15,7 +15,7 @@ from gsgen.sdk.passes.framework.shape_inference import infer_shapes
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 # A shape has a few numbers; a table of row numbers, which no GPU kernel computes, may have many.
-_SMALL_SIZE = 1 << 12
+_MAX_FOLDED_SIZE = 1 << 12
 _MAX_SIZE = 1 << 24
 _TABLE_OPERATORS = ("ConstantOfShape", "Range")
 
@@ -38,10 +38,10 @@ class FoldShapes(SkippableRewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Fold arithmetic on shapes and infer shapes, alternately, until nothing changes."""
-        while self._fold_once(model):
+        while self._fold_shapes_once(model):
             infer_shapes(model)
 
-    def _fold_once(self, model: ir.Model) -> bool:
+    def _fold_shapes_once(self, model: ir.Model) -> bool:
         before = len(self.changed)
         self.refusals.clear()
         for node in list(every_node(model)):
@@ -61,7 +61,7 @@ class FoldShapes(SkippableRewrite):
         part = _selected_dimensions(node)
         if part is not None:
             return part
-        inputs = [constant_of(value, _SMALL_SIZE) for value in node.inputs]
+        inputs = [constant_of(value, _MAX_FOLDED_SIZE) for value in node.inputs]
         known = [
             value is None or array is not None
             for value, array in zip(node.inputs, inputs, strict=True)
@@ -73,7 +73,7 @@ class FoldShapes(SkippableRewrite):
             self.refuse(node, f"it would have {size} elements, expected {_MAX_SIZE} at most")
             return None
         result = evaluate(node, inputs)
-        largest = _MAX_SIZE if is_op(node, *_TABLE_OPERATORS) else _SMALL_SIZE
+        largest = _MAX_SIZE if is_op(node, *_TABLE_OPERATORS) else _MAX_FOLDED_SIZE
         return result if result is not None and result.size <= largest else None
 
 
@@ -105,7 +105,7 @@ def _selected_dimensions(node: ir.Node) -> np.ndarray | None:
     if maker is None or not (is_op(maker, "Shape") and is_op(node, "Gather", "Slice")):
         return None
     axes = _shape_axes(maker)
-    arguments = [constant_of(value, _SMALL_SIZE) for value in node.inputs[1:]]
+    arguments = [constant_of(value, _MAX_FOLDED_SIZE) for value in node.inputs[1:]]
     if axes is None or any(array is None for array in arguments):
         return None
     sizes = np.array([dim if isinstance(dim, int) else -1 for dim in axes], np.int64)

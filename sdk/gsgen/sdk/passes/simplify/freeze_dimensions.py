@@ -43,23 +43,23 @@ class FreezeDimensions(SkippableRewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Replace each symbolic dimension for which the user gave a size."""
-        names = {dim for value in _values(model) for dim in _symbols(value)}
+        names = {dim for value in _values(model) for dim in _symbol_names(value)}
         ends = {*model.graph.inputs, *model.graph.outputs}
         for name in self.sizes.keys() - names - self._frozen_symbols:
-            declared_symbols = {dim for value in ends for dim in _symbols(value)}
+            declared_symbols = {dim for value in ends for dim in _symbol_names(value)}
             raise UnknownName.among("dimension", name, declared_symbols, "--size")
         self._frozen_symbols |= names & self.sizes.keys()
         for value in _values(model):
             if value.shape is None:
                 continue
-            dims = [self._frozen_dim(dim) for dim in value.shape]
+            dims = [self._freeze_dim(dim) for dim in value.shape]
             if dims == list(value.shape):
                 continue
             value.shape = ir.Shape(dims)
             if value in ends:
                 self.note(value)
 
-    def _frozen_dim(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
+    def _freeze_dim(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
         text = "" if isinstance(dim, int) else dim.value or ""
         if text in self.sizes:
             return self.sizes[text]
@@ -73,7 +73,7 @@ def _words(text: str) -> list[str]:
     return re.findall(r"\w+", text)
 
 
-def _symbols(value: ir.Value) -> Iterator[str]:
+def _symbol_names(value: ir.Value) -> Iterator[str]:
     for dim in value.shape or ():
         if not isinstance(dim, int) and dim.value:
             yield dim.value

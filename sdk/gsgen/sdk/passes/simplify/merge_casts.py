@@ -40,13 +40,13 @@ class MergeCasts(NodeRewrite):
         ):
             return False
         # The cast of a number that does not fit differs between dtypes.
-        truncates = (
+        does_truncate = (
             middle_dtype.is_integer() and last_dtype.is_integer()
         )  # alike in one step or two
         return (
             can_hold_all_values(last_dtype, first_dtype)
             or first_dtype == ir.DataType.BOOL
-            or truncates
+            or does_truncate
         )
 
     def replace(self, node: ir.Node) -> None:
@@ -61,11 +61,11 @@ class MergeCasts(NodeRewrite):
         write.replace(write.op("Cast", x, dtype=kind, shape=x.shape, to=int(kind)))
 
 
-def can_hold_all_values(container: ir.DataType, included_type: ir.DataType) -> bool:
+def can_hold_all_values(container: ir.DataType, contained_type: ir.DataType) -> bool:
     """Return whether one dtype can represent every number of another dtype."""
-    if included_type in _INTEGERS_OF_64_BITS and container.is_floating_point():
+    if contained_type in _INTEGERS_OF_64_BITS and container.is_floating_point():
         return False  # NumPy calls that safe, although a double holds 53 bits
     try:
-        return bool(np.can_cast(included_type.numpy(), container.numpy(), casting="safe"))
+        return bool(np.can_cast(contained_type.numpy(), container.numpy(), casting="safe"))
     except TypeError:  # strings, and dtypes of four bits
         return False

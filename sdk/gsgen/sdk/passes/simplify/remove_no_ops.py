@@ -96,8 +96,8 @@ def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
     if node.op_type == "Mul":
         pairs.append((node.inputs[1], node.inputs[0]))
     shape = fixed_shape(node.outputs[0])
-    for operand, neutral in pairs:
-        number = constant_of(neutral)
+    for operand, neutral_number in pairs:
+        number = constant_of(neutral_number)
         is_neutral = number is not None and bool(
             (number == _NEUTRAL_BY_OPERATOR[node.op_type]).all()
         )
