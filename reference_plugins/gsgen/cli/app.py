@@ -56,7 +56,7 @@ def _run() -> None:
     try:
         try:
             with _notes_printed():
-                _dispatch(arguments)
+                _dispatch_command(arguments)
         finally:
             sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:
@@ -105,7 +105,7 @@ def _notes_printed() -> Iterator[None]:
         yield
 
 
-def _dispatch(arguments: list[str]) -> None:
+def _dispatch_command(arguments: list[str]) -> None:
     """Answer from data where no command runs; else run the command that the arguments name."""
     if "_GSGEN_COMPLETE" not in os.environ:  # a shell does not ask for completions
         if arguments[:1] == ["--version"]:

@@ -26,7 +26,7 @@ class Command:
     code: Extension
 
 
-def _command(name: str, summary: str, module_path: str) -> Command:
+def _make_command(name: str, summary: str, module_path: str) -> Command:
     """Return a command of ours; ``module_path`` is its module and function below gsgen.cli.commands."""
     point = EntryPoint(name, f"gsgen.cli.commands.{module_path}", _ENTRY_POINT_GROUP)
     return Command(name, summary, Extension(name, point))
@@ -34,140 +34,140 @@ def _command(name: str, summary: str, module_path: str) -> Command:
 
 PANELS: Final[dict[str, tuple[Command, ...]]] = {
     "Start": (
-        _command(
+        _make_command(
             "samples",
             "Write sample files into DIR: a garden of splats, cameras, a generator and a motion for it.",
             "exporting.samples:samples",
         ),
-        _command(
+        _make_command(
             "doctor",
             "Show versions, drivers and adapters, and how to install missing parts.",
             "checking.doctor:doctor",
         ),
-        _command(
+        _make_command(
             "new",
             "Create a plugin package NAME: a method, its export command, and passing tests.",
             "exporting.new:new",
         ),
     ),
     "Export generators": (
-        _command(
+        _make_command(
             "export",
             "Export a Gaussian Generator from your torch module, or from the files of a method.",
             "exporting.export:app",
         ),
-        _command(
+        _make_command(
             "plugins",
             "List the installed plugins: method, model inputs, and the files that each reads.",
             "exporting.plugins:plugins",
         ),
-        _command(
+        _make_command(
             "fix",
             "Write a repaired copy of MODEL, and list the changes.",
             "exporting.fix:fix [sdk]",
         ),
-        _command(
+        _make_command(
             "rewrite",
             "Rewrite MODEL's graph for a target GPU, and verify that it computes the same outputs.",
             "exporting.rewrite:rewrite [sdk]",
         ),
-        _command(
+        _make_command(
             "float16",
             "Write a float16 copy of MODEL; nodes whose rounding error is too large stay float32.",
             "exporting.float16:float16 [sdk]",
         ),
     ),
     "Check models": (
-        _command(
+        _make_command(
             "validate",
             "Check whether the given ONNX models conform to the Gaussian Generator contract.",
             "checking.validate:validate",
         ),
-        _command(
+        _make_command(
             "inspect",
             "Show a model's inputs, outputs and manifest; its weights are not read.",
             "checking.inspect:inspect",
         ),
-        _command(
+        _make_command(
             "conformance",
             "Run conformance suites on each MODEL, and print a command that reproduces each failure.",
             "checking.conformance:conformance",
         ),
-        _command(
+        _make_command(
             "repro",
             "Check one rule of MODEL again, with one probe (set of test inputs) if that is enough.",
             "checking.repro:repro",
         ),
-        _command(
+        _make_command(
             "rules",
             "List every validation rule: id, severity, level, name and statement.",
             "checking.rules:rules",
         ),
-        _command(
+        _make_command(
             "explain",
             "Explain what the rule RULE requires, why, and how to repair a model that breaks it.",
             "checking.explain:explain",
         ),
-        _command(
+        _make_command(
             "diff",
             "Compare the declarations, the graphs and the outputs of two ONNX models.",
             "checking.diff:diff",
         ),
-        _command(
+        _make_command(
             "references",
             "Write a copy of MODEL with reference images, drawn by MODEL or by its training code.",
             "drawing.references:references [runtime]",
         ),
-        _command(
+        _make_command(
             "vectors",
             "Write test vectors of MODEL, and a copy of MODEL whose manifest lists them.",
             "checking.vectors:vectors",
         ),
-        _command(
+        _make_command(
             "viewer-kit",
             "Test a viewer: small models, expected pictures, and a verdict for each test.",
             "checking.viewer_kit:app",
         ),
-        _command(
+        _make_command(
             "card",
             "Write a model card of MODEL: description, inputs, a picture, and the validation verdict.",
             "checking.card:card",
         ),
     ),
     "Draw and measure": (
-        _command(
+        _make_command(
             "render",
             "Draw SCENES: splat files and meshes, and generators, which run for every frame.",
             "drawing.render:render [runtime]",
         ),
-        _command(
+        _make_command(
             "view",
             "Show SCENES in a window: orbit around them, play their time, and save pictures.",
             "drawing.view:view [runtime]",
         ),
-        _command(
+        _make_command(
             "bench",
             "Measure the time and memory of a frame of each MODEL on each execution provider.",
             "exporting.bench:bench",
         ),
-        _command(
+        _make_command(
             "bench-render",
             "Measure the time and the memory of a frame of SCENES, stage by stage.",
             "drawing.bench_render:bench_render [runtime]",
         ),
     ),
     "Splat files and tilesets": (
-        _command(
+        _make_command(
             "convert",
             "Write the splats of SOURCE to TARGET in another format, and print the losses.",
             "drawing.convert:convert",
         ),
-        _command(
+        _make_command(
             "bake",
             "Write frames of a generator as plain splat files, which every viewer reads.",
             "drawing.bake:bake",
         ),
-        _command(
+        _make_command(
             "tiles",
             "Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
             "tiles.group:app",

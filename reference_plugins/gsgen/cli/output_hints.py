@@ -22,7 +22,7 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
         words: The words that follow it on the command line.
         values: The values of its options and arguments.
     """
-    files = [str(value) for value in _flattened(values) if str(value) in words]
+    files = [str(value) for value in _flatten_values(values) if str(value) in words]
     if command not in _SUFFIXES or not files:
         return ""
     suffix, output_suffixes = _SUFFIXES[command]
@@ -34,7 +34,7 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
     return _hint(command, remaining_words, f"{Path(files[0]).stem or command}{suffix}")
 
 
-def _flattened(values: Mapping[str, Any]) -> list[Any]:
+def _flatten_values(values: Mapping[str, Any]) -> list[Any]:
     """Return the arguments of a command line: the values of SCENES or MODEL."""
     entries = values.get("scenes") or values.get("model") or ()
     return [entries] if isinstance(entries, str) else list(entries)

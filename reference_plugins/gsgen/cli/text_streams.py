@@ -36,7 +36,7 @@ _ASCII_SUBSTITUTES: Final = {
 }  # fmt: skip
 _ASCII_BY_MARKUP_TAG: Final = {"<super>": "^", "<sub>": "_"}
 # What sets colours or erases a line, and variables that make typer use colours in a log.
-_COLOUR: Final = re.compile(r"(\x1b\[[0-9;]*m|\r\x1b\[2K)")
+_COLOUR_CODE_PATTERN: Final = re.compile(r"(\x1b\[[0-9;]*m|\r\x1b\[2K)")
 _COLOUR_VARIABLES: Final = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
 
 
@@ -55,13 +55,13 @@ class SafeStream:
 
     def write(self, text: str) -> int:
         """Write a text with escape sequences of Python for characters without a glyph."""
-        parts = _COLOUR.split(text) if self._has_colours and "\x1b" in text else [text]
+        parts = _COLOUR_CODE_PATTERN.split(text) if self._has_colours and "\x1b" in text else [text]
         for number, part in enumerate(parts):
             is_colour = number % 2 == 1
-            self.unescaped.write(part if is_colour else self._escape(part))
+            self.unescaped.write(part if is_colour else self._escape_text(part))
         return len(text)
 
-    def _escape(self, text: str) -> str:
+    def _escape_text(self, text: str) -> str:
         first = text[:1]
         # A command of GitHub may come in pieces: `:` and `:`, or `##` and `[`.
         completes_command = (first == ":" and self._line.strip() == ":") or (
@@ -149,7 +149,7 @@ def transliterate(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     is_json = error.object[:1] + error.object.rstrip()[-1:] in ("{}", "[]")
-    convert = _escape if is_json else _ascii_substitute
+    convert = _escape_character if is_json else _ascii_substitute
     return "".join(map(convert, error.object[error.start : error.end])), error.end
 
 
@@ -167,10 +167,10 @@ def _ascii_substitute(character: str) -> str:
         return _ASCII_BY_MARKUP_TAG[tag] + (base if base.isascii() else _ascii_substitute(base))
     if tag == "<fraction>":
         return unicodedata.normalize("NFKD", character).replace("⁄", "/")
-    return _escape(character)
+    return _escape_character(character)
 
 
-def _escape(character: str) -> str:
+def _escape_character(character: str) -> str:
     """Return the JSON escape sequences (hexadecimal) of a character."""
     pairs = character.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{pairs[start : start + 4]}" for start in range(0, len(pairs), 4))

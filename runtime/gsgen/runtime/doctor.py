@@ -10,17 +10,17 @@ from functools import partial
 from gsgen.contract.process.parent_watchdog import python_command
 from gsgen.contract.tools.doctor import Check, check_package
 
-_TIMEOUT = 60  # seconds
+_TIMEOUT_SECONDS = 60  # seconds
 _RENDER_PURPOSE = "draw; graph capture"
-_WINDOW = "windows of `gsgen view`"
+_WINDOW_PURPOSE = "windows of `gsgen view`"
 _NOTEBOOK_PURPOSE = "`gsgen.runtime.view` in notebooks"
 _SOFTWARE_DRIVERS = (
     "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
 )
-_RUNTIME = "pip install 'gsgen[runtime]'"
+_RUNTIME_INSTALL_HINT = "pip install 'gsgen[runtime]'"
 
 # These run in a child process: a driver that crashes must not end the doctor.
-_LIST_ADAPTERS = """
+_LIST_ADAPTERS_SCRIPT = """
 import json, wgpu
 print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], default=str))
 """
@@ -45,23 +45,26 @@ except DisplayUnavailable as error:
 
 def checks() -> Iterator[Check]:
     """Yield the state of each package, driver and screen that drawing needs."""
-    wgpu = check_package("wgpu", _RUNTIME, purpose="draw")
+    wgpu = check_package("wgpu", _RUNTIME_INSTALL_HINT, purpose="draw")
     yield wgpu
     if wgpu.state == "ok":
-        yield from _adapters()
-    windows = [check_package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")]
+        yield from _check_adapters()
+    windows = [
+        check_package(name, _RUNTIME_INSTALL_HINT, purpose=_WINDOW_PURPOSE)
+        for name in ("glfw", "rendercanvas")
+    ]
     yield from windows
     if all(check.state == "ok" for check in windows):
-        yield _screen()
+        yield _check_screen()
     yield _widget()
     remedy = "pip install 'gsgen[formats]'"
     yield check_package("pillow", remedy, purpose="read SOG; write pictures")
     yield check_package("zstandard", remedy, purpose="SPZ version 4")
-    yield check_package("trimesh", _RUNTIME, purpose="read meshes")
+    yield check_package("trimesh", _RUNTIME_INSTALL_HINT, purpose="read meshes")
 
 
-def _adapters() -> Iterator[Check]:
-    adapters = _child_result("adapters", _LIST_ADAPTERS, _SOFTWARE_DRIVERS, _RENDER_PURPOSE)
+def _check_adapters() -> Iterator[Check]:
+    adapters = _child_result("adapters", _LIST_ADAPTERS_SCRIPT, _SOFTWARE_DRIVERS, _RENDER_PURPOSE)
     if isinstance(adapters, Check):
         yield adapters
         return
@@ -86,19 +89,21 @@ def _adapters() -> Iterator[Check]:
     yield choice
 
 
-def _screen() -> Check:
+def _check_screen() -> Check:
     """Check whether a window can be opened on this machine."""
-    problem = _child_result("screen", _WINDOW_TEST_SCRIPT, _RUNTIME, _WINDOW)
+    problem = _child_result("screen", _WINDOW_TEST_SCRIPT, _RUNTIME_INSTALL_HINT, _WINDOW_PURPOSE)
     if isinstance(problem, Check):
         return problem
     if problem is None:
-        return Check(name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW)
+        return Check(
+            name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW_PURPOSE
+        )
     return Check(
         name="screen",
         state="missing",
         detail=str(problem),
         remedy="draw without a screen: `gsgen render`",
-        purpose=_WINDOW,
+        purpose=_WINDOW_PURPOSE,
     )
 
 
@@ -120,10 +125,10 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
             capture_output=True,
             encoding="utf-8",
             errors="replace",
-            timeout=_TIMEOUT,
+            timeout=_TIMEOUT_SECONDS,
         )
     except subprocess.TimeoutExpired:
-        return failed_check(detail=f"no answer after {_TIMEOUT} s")
+        return failed_check(detail=f"no answer after {_TIMEOUT_SECONDS} s")
     if finished_process.returncode != 0:
         last_line = finished_process.stderr.strip().splitlines()[-1:] or [
             f"exit status {finished_process.returncode}"

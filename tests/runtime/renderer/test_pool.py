@@ -181,7 +181,7 @@ def test_a_thousand_arrivals_make_no_plan_and_no_gpu_object(
         raise AssertionError("a GPU object was made")
 
     monkeypatch.setattr(renderers, "Plan", refuse)
-    monkeypatch.setattr(type(renderer.device), "_buffer", refuse)
+    monkeypatch.setattr(type(renderer.device), "_create_buffer", refuse)
     uploaded: list[int] = []
     write = type(renderer.device).write
 

@@ -196,7 +196,9 @@ def test_probed_scenes_are_crowded(device: Device) -> None:
     camera = Camera(
         np.eye(4), fx=width, fy=width, cx=width / 2, cy=height / 2, width=width, height=height
     )
-    data = rasteriser_choice._random_splats(rasteriser_choice._GAUSSIANS, height / width)
+    data = rasteriser_choice._random_splats(
+        rasteriser_choice._SAMPLE_GAUSSIAN_COUNT, height / width
+    )
     own = Renderer(device, rasteriser="tiles")  # it keeps the room that it has made
     frame = own.render(Scene([data]), camera)
     assert frame.visible > 0.95 * len(data)

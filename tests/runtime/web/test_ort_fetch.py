@@ -36,7 +36,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bytes:
 def test_the_pinned_package_is_unpacked_once(
     package: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(onnxruntime_web, "_SHA256", hashlib.sha256(package).hexdigest())
+    monkeypatch.setattr(onnxruntime_web, "_PACKAGE_SHA256", hashlib.sha256(package).hexdigest())
     folder = onnxruntime_web.ort_folder(None)
     assert {path.name: path.read_text() for path in folder.iterdir()} == {
         name: name for name in onnxruntime_web.ORT_FILES

@@ -18,7 +18,7 @@ def memory_of(size: int) -> Iterator[None]:
     """
     import wgpu
 
-    make, result, most = Device._buffer, WeakSet[Any](), size
+    make, result, most = Device._create_buffer, WeakSet[Any](), size
 
     def limited(self: Device, *words: Any) -> Any:
         raw = self.raw
@@ -35,7 +35,7 @@ def memory_of(size: int) -> Iterator[None]:
         finally:
             self.raw = raw
 
-    with patch.object(Device, "_buffer", limited):
+    with patch.object(Device, "_create_buffer", limited):
         yield
 
 

@@ -293,7 +293,9 @@ def test_a_tile_that_another_one_displaces_in_its_own_frame_is_not_uploaded(town
     for _ in range(10):
         for tile in rng.choice(len(session.tree), 8, replace=False).tolist():
             if not session.resident[tile]:
-                session._pending[tile] = reader.decode(tile, reader.fetch(tile, lambda count: None))
+                session._pending_arrivals[tile] = reader.decode(
+                    tile, reader.fetch(tile, lambda count: None)
+                )
         frame = session.frame(away)
         assert not {entry.tile for entry in frame.arrivals} & set(frame.evicted)
         pool.take(frame)

@@ -36,9 +36,9 @@ from gsgen.reference_plugins.loading.states import (
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _OFFSET_PATTERN = re.compile(r"f_offset_(\d+)")
-_FEATURE_NAME = re.compile(r"f_anchor_feat_(\d+)")
-_SCALES = tuple(f"scale_{i}" for i in range(6))
-_ROTATION = tuple(f"rot_{i}" for i in range(4))
+_FEATURE_PATTERN = re.compile(r"f_anchor_feat_(\d+)")
+_SCALE_COLUMNS = tuple(f"scale_{i}" for i in range(6))
+_ROTATION_COLUMNS = tuple(f"rot_{i}" for i in range(4))
 _LEVEL_FIELDS = ("level", "extra_level", "info")
 # Both names of a file with all networks; the first versions of Scaffold-GS wrote the second.
 _COMBINED_FILES = ("checkpoints.pth", "checkpoint.pth")
@@ -150,8 +150,8 @@ def read_cloud(
     """
     with format_faults(path):
         names = ply_properties(path)
-        offsets, features = numbered(_OFFSET_PATTERN, names), numbered(_FEATURE_NAME, names)
-        groups = {"position": XYZ, "scale": _SCALES, "rotation": _ROTATION}
+        offsets, features = numbered(_OFFSET_PATTERN, names), numbered(_FEATURE_PATTERN, names)
+        groups = {"position": XYZ, "scale": _SCALE_COLUMNS, "rotation": _ROTATION_COLUMNS}
         groups |= {"offset": offsets} | ({"feature": features} if features else {})
         groups |= {name: (name,) for name in columns}
         if not offsets or len(offsets) % 3 or has_features != bool(features):
@@ -178,7 +178,7 @@ def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Sizes:
+class _NetworkSizes:
     per_anchor: int
     width: int
     appearance: int
@@ -206,7 +206,7 @@ def read_nets(
         message = f"is missing: appearance_dim is {appearance}"
         raise CheckpointInvalid(message, where=str(iteration_folder / "embedding_appearance.pt"))
     level = octree and cfg.flag("add_level")
-    sizes = _Sizes(
+    sizes = _NetworkSizes(
         per_anchor=cloud.per_anchor,
         width=cloud.width,
         appearance=appearance,
@@ -263,7 +263,7 @@ def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
 
 
 def _head(
-    name: str, states: NetworkStates, iteration_folder: Path, cfg: CfgArgs, sizes: _Sizes
+    name: str, states: NetworkStates, iteration_folder: Path, cfg: CfgArgs, sizes: _NetworkSizes
 ) -> Mlp:
     if name not in states:
         hint = f"Networks are {', '.join(_OUTPUT_CHANNELS)} (.pt each), or all in {_COMBINED_FILES[0]}."
@@ -295,7 +295,7 @@ def _has_feature_bank(states: NetworkStates, iteration_folder: Path, cfg: CfgArg
     return has_bank
 
 
-def _read_feature_bank(states: NetworkStates, iteration_folder: Path, sizes: _Sizes) -> Mlp:
+def _read_feature_bank(states: NetworkStates, iteration_folder: Path, sizes: _NetworkSizes) -> Mlp:
     """Read the feature bank: a network that weights three resolutions of an anchor's features.
 
     Inputs are direction and distance; of Octree-GS, direction and, if trained with it, level.
@@ -312,7 +312,13 @@ def _read_feature_bank(states: NetworkStates, iteration_folder: Path, sizes: _Si
 
 
 def _mlp(
-    path: Path, state: Mapping[str, Any], inputs: int, sizes: _Sizes, out: int, *, distance: bool
+    path: Path,
+    state: Mapping[str, Any],
+    inputs: int,
+    sizes: _NetworkSizes,
+    out: int,
+    *,
+    distance: bool,
 ) -> Mlp:
     expected = linear_shapes("0", inputs, sizes.width) | linear_shapes("2", sizes.width, out)
     read = require_tensors(path, state, expected)

@@ -42,7 +42,7 @@ class DecodedFrame:
         return torch.index_select(table, 0, self.rows)
 
 
-class _Offsets(nn.Module):
+class _AnchorOffsets(nn.Module):
     """Computes the centres of Gaussians from offsets in units of their anchor's scale."""
 
     offset: Tensor
@@ -104,7 +104,7 @@ class AnchorGenerator(GaussianGenerator):
 
     def placement_module(self, cloud: AnchorCloud) -> nn.Module:
         """Return the module that computes the centres of Gaussians from anchors and scales."""
-        return _Offsets(cloud)
+        return _AnchorOffsets(cloud)
 
     @property
     def can_hide_anchors(self) -> bool:

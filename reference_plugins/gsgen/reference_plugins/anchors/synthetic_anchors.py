@@ -49,8 +49,8 @@ def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Pa
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | {axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")}
     columns |= _payload(options, rng)
-    cfg = _cfg(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
-    _write_run(folder, options, columns, cfg)
+    cfg = _cfg_values(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
+    _write_training_run(folder, options, columns, cfg)
     return folder
 
 
@@ -71,7 +71,9 @@ def write_octree(
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
     columns["info"][1] = distance
-    _write_run(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
+    _write_training_run(
+        folder, options, columns, _cfg_values(options) | _level_cfg_values(options, mode, fork)
+    )
     return folder
 
 
@@ -103,9 +105,9 @@ def write_duplex(
     columns["anchor_shd_0"] = rng.normal(6, 1, n)
     indices = range((degree + 1) ** 2 - 1)
     columns |= {f"anchor_shv_{i}": rng.normal(0, 0.5, n) for i in indices}
-    cfg = _cfg(options) | _level_cfg(options, mode, fork)
+    cfg = _cfg_values(options) | _level_cfg_values(options, mode, fork)
     cfg |= {"max_sh_degree": degree, "depth_correct": depth, "add_vi_dist": False}
-    _write_run(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
+    _write_training_run(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
     return folder
 
 
@@ -120,7 +122,7 @@ def _levels(
     return {"level": level, "extra_level": rng.normal(0, 0.3, n), "info": info}
 
 
-def _level_cfg(options: AnchorOptions, mode: str, fork: int) -> dict[str, object]:
+def _level_cfg_values(options: AnchorOptions, mode: str, fork: int) -> dict[str, object]:
     cfg = {"fork": fork, "dist2level": mode, "add_level": options.level}
     return cfg | {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
 
@@ -155,7 +157,7 @@ def _payload(
     return columns | {f"rot_{i}": rotation[:, i] for i in range(4)}
 
 
-def _cfg(options: AnchorOptions) -> dict[str, object]:
+def _cfg_values(options: AnchorOptions) -> dict[str, object]:
     opacity, covariance, color = options.distance
     return {
         "feat_dim": options.width,
@@ -168,7 +170,7 @@ def _cfg(options: AnchorOptions) -> dict[str, object]:
     }
 
 
-def _write_run(
+def _write_training_run(
     folder: Path,
     options: AnchorOptions,
     columns: Mapping[str, np.ndarray],

@@ -101,7 +101,7 @@ def required_body(requested_file: Path | None, candidates: Mapping[str, Path], j
 def read_body(path: Path, joints: int) -> Body:
     """Read a body model with a given number of joints from a ``.pkl`` or ``.npz``."""
     required_body(path, {}, joints)
-    read = _arrays(path)
+    read = _read_arrays(path)
     missing = [name for name in _REQUIRED_ARRAYS if name not in read]
     if missing:
         hint = (
@@ -150,11 +150,11 @@ def _are_indices_within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
 
 def joints_of_file(path: Path) -> int:
     """Return the number of joints of the body model in a file; 0 without a kintree_table."""
-    shape = np.shape(_arrays(path).get("kintree_table", ()))
+    shape = np.shape(_read_arrays(path).get("kintree_table", ()))
     return int(shape[-1]) if shape else 0
 
 
-def _arrays(path: Path) -> dict[str, Any]:
+def _read_arrays(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         zipped = file.read(4) == b"PK\x03\x04"
     # Read the known arrays only: the published files also hold other objects.

@@ -17,7 +17,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 # Added before rounding down, in frames: i / T in float32 may be slightly below frame i.
-_ROUNDING = 1e-3
+_FRAME_TOLERANCE = 1e-3
 
 
 @final
@@ -57,7 +57,7 @@ class MotionPlayback(GaussianGenerator):
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians of frame floor(time · frames), or of the last frame at the end."""
-        position = (time * float(self.frames) + _ROUNDING).clamp(0.0, float(self.frames - 1))
+        position = (time * float(self.frames) + _FRAME_TOLERANCE).clamp(0.0, float(self.frames - 1))
         frame = torch.floor(position).to(torch.int32)
         values = [self._input_value(declared, frame) for declared in self.actors.declared()]
         gaussians = self.avatar(*values)

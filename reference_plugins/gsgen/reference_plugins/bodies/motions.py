@@ -32,8 +32,8 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 _BODY_POSE_SIZE = 66
 _HAND_POSE_SIZE = 90
 # Numbers of a pose: root and body alone, SMPL, SMPL+H, SMPL-X.
-_WIDTHS = (66, 72, 156, 165)
-_JSON = {
+_POSE_SIZES = (66, 72, 156, 165)
+_JSON_FIELD_SIZES = {
     "root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
     "lhand_pose": 45, "rhand_pose": 45,
 }  # fmt: skip
@@ -86,8 +86,8 @@ def read_motion(path: Path, joints: int) -> Motion:
         raise CheckpointInvalid("is missing", where=str(path), hint=_supported_motions())
     if path.suffix == ".json":
         read = _json(path)
-        return _from_json(path, read if isinstance(read, list) else [read], joints)
-    return _from_arrays(path, _arrays(path), joints)
+        return _motion_from_json(path, read if isinstance(read, list) else [read], joints)
+    return _motion_from_arrays(path, _read_arrays(path), joints)
 
 
 def _supported_motions() -> str:
@@ -101,9 +101,9 @@ def _read_folder(path: Path, joints: int) -> Motion:
     for suffix in ("npz", "npy", "json"):
         files = sorted(path.glob(f"*.{suffix}"), key=_frame_number)
         if files and suffix == "json":
-            return _from_json(path, [_json(file) for file in files], joints)
+            return _motion_from_json(path, [_json(file) for file in files], joints)
         if files:
-            frames = [_arrays(file) for file in files]
+            frames = [_read_arrays(file) for file in files]
             names = set(frames[0])
             for file, frame in zip(files, frames, strict=True):
                 if set(frame) != names:
@@ -116,7 +116,7 @@ def _read_folder(path: Path, joints: int) -> Motion:
             except ValueError as error:
                 message = f"has frames of different sizes: {error}"
                 raise CheckpointInvalid(message, where=str(path)) from error
-            return _from_arrays(path, joined, joints)
+            return _motion_from_arrays(path, joined, joints)
     message = "holds no .npz, .npy or .json"
     raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
 
@@ -126,7 +126,7 @@ def _frame_number(path: Path) -> tuple[int, str]:
     return (int(match[1]) if match else -1, path.stem)
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     if path.suffix == ".npy":
         read = read_array_pickle(path, _KNOWN_ARRAYS)
     else:
@@ -138,7 +138,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     return {name: array.astype(np.float64) for name, array in read.items()}
 
 
-def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
+def _motion_from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
     if "poses" not in read or not read["poses"].size:
         names = ", ".join(read) or "no known array"
         message = f"has no array poses (has: {names})"
@@ -181,8 +181,8 @@ def _convert_poses(
 ) -> Float[np.ndarray, "t j 3"]:
     """Convert poses of one body model to another with a different number of joints."""
     frames, width = poses.shape
-    if width not in _WIDTHS:
-        message = f"a pose has {width} numbers, expected {', '.join(map(str, _WIDTHS))}"
+    if width not in _POSE_SIZES:
+        message = f"a pose has {width} numbers, expected {', '.join(map(str, _POSE_SIZES))}"
         raise CheckpointInvalid(message, where=str(path))
     converted_poses = np.zeros((frames, 3 * joints))
     converted_poses[:, :_BODY_POSE_SIZE] = poses[:, :_BODY_POSE_SIZE]
@@ -202,16 +202,16 @@ def _json(path: Path) -> Any:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
 
 
-def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
+def _motion_from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
     poses, translations, expressions = [], [], []
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
         if not isinstance(frame, dict):
-            message = (
-                f"is a {type(frame).__name__}, expected an object of {', '.join(_JSON)}, trans"
-            )
+            message = f"is a {type(frame).__name__}, expected an object of {', '.join(_JSON_FIELD_SIZES)}, trans"
             raise CheckpointInvalid(message, where=where)
-        parts = [_json_numbers(where, frame, name, size) for name, size in _JSON.items()]
+        parts = [
+            _json_numbers(where, frame, name, size) for name, size in _JSON_FIELD_SIZES.items()
+        ]
         poses.append(np.concatenate(parts))
         translations.append(_json_numbers(where, frame, "trans", 3))
         expressions.append(np.asarray(frame.get("expr", ()), np.float64).ravel())

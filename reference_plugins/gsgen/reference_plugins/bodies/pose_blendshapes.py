@@ -49,7 +49,7 @@ class PoseBlendshapes(nn.Module):
         mean = body.hand_mean if add_hands else None
         zero_pose = np.zeros(3 * body.joints - (0 if mean is None else len(mean)))
         hands = None if mean is None else np.concatenate([zero_pose, mean]).reshape(1, -1, 3)
-        self.register_buffer("hands", None if hands is None else _float(hands))
+        self.register_buffer("hands", None if hands is None else _float_tensor(hands))
         self.parents = body.parents
         self.is_shape_free = shape is None
         fixed_shape = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
@@ -60,14 +60,14 @@ class PoseBlendshapes(nn.Module):
             joint_matrices
         )
         register = self.register_buffer
-        register("joints", _float(rest_pose.joints_of(body, fixed_shape)))
-        register("offset", _float(offsets.T)[None])
-        register("pose_dirs", _float(pose_dirs.transpose(2, 1, 0)).flatten(1))
+        register("joints", _float_tensor(rest_pose.joints_of(body, fixed_shape)))
+        register("offset", _float_tensor(offsets.T)[None])
+        register("pose_dirs", _float_tensor(pose_dirs.transpose(2, 1, 0)).flatten(1))
         register("unit", torch.eye(3)[None, None])
         if self.is_shape_free:
             joint_shape_dirs = np.einsum("jv,vas->sja", body.regressor, body.shape_dirs)
-            register("joint_dirs", _float(joint_shape_dirs).flatten(1))
-            register("shape_dirs", _float(dirs.transpose(2, 1, 0)).flatten(1))
+            register("joint_dirs", _float_tensor(joint_shape_dirs).flatten(1))
+            register("shape_dirs", _float_tensor(dirs.transpose(2, 1, 0)).flatten(1))
         layers = nets.pose if nets is not None else ()
         self.refiner = nn.ModuleList(Dense(*layer) for layer in layers)
 
@@ -100,5 +100,5 @@ class PoseBlendshapes(nn.Module):
         return torch.cat([joint_matrices[:, :1], joint_matrices[:, 1:] @ corrections], dim=1)
 
 
-def _float(array: Float[np.ndarray, "..."]) -> Tensor:
+def _float_tensor(array: Float[np.ndarray, "..."]) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, np.float32))

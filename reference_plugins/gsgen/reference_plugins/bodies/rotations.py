@@ -76,18 +76,18 @@ def nearest_rotation(
         (wz, sum_xz, sum_yz, squares[3]),
     ]
     stacked = [torch.stack(components, dim=1) for components in candidates]
-    best_norm, first_best = _choose_larger(squares[0], squares[1], stacked[0], stacked[1])
-    second_best, second_best_quaternion = _choose_larger(
+    best_norm, first_best = _choose_larger_norm(squares[0], squares[1], stacked[0], stacked[1])
+    second_best, second_best_quaternion = _choose_larger_norm(
         squares[2], squares[3], stacked[2], stacked[3]
     )
-    _, quaternion = _choose_larger(best_norm, second_best, first_best, second_best_quaternion)
+    _, quaternion = _choose_larger_norm(best_norm, second_best, first_best, second_best_quaternion)
     w, x, y, z = quaternion.unbind(dim=1)
     is_free = 1 - is_rigid
     columns = rotation_columns((w * is_free + is_rigid, x * is_free, y * is_free, z * is_free))
     return torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
 
 
-def _choose_larger(
+def _choose_larger_norm(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return in each row the higher of two scores, and the quaternion that has this score."""

@@ -21,7 +21,7 @@ from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, p
 
 # Added to the skinning weights before their logarithm (GauHuman, scene/gaussian_model.py).
 MIN_SKINNING_WEIGHT = 1e-9
-_GAUSSIANS = ("position", "scale", "rotation")
+_GAUSSIAN_PARAMETERS = ("position", "scale", "rotation")
 
 
 class _WeightOffsets(nn.Module):
@@ -68,8 +68,8 @@ class BigPoseGaussians(nn.Module):
         super().__init__()
         # Added here and not at the logarithm: exporters remove the addition of so small a number.
         near = near if nets is None else near + MIN_SKINNING_WEIGHT
-        _register(self, near=near, vertex=vertex, transforms=transforms.reshape(-1, 12))
-        _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
+        _register_tables(self, near=near, vertex=vertex, transforms=transforms.reshape(-1, 12))
+        _register_tables(self, **dict(zip(_GAUSSIAN_PARAMETERS, gaussians, strict=True)))
         self.offsets = None if nets is None else _WeightOffsets(nets)
 
     def forward(
@@ -116,9 +116,9 @@ class SurfaceGaussians(nn.Module):
         do not rotate.
         """
         super().__init__()
-        _register(self, near=near, vertex=vertex, added=added, stiff=stiff[:, None])
-        _register(self, transforms=transforms.reshape(-1, 12))
-        _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
+        _register_tables(self, near=near, vertex=vertex, added=added, stiff=stiff[:, None])
+        _register_tables(self, transforms=transforms.reshape(-1, 12))
+        _register_tables(self, **dict(zip(_GAUSSIAN_PARAMETERS, gaussians, strict=True)))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Return what skinning Gaussians needs: weights, rest positions and matrices, rigidity, shape.
@@ -138,7 +138,7 @@ class SurfaceGaussians(nn.Module):
         return weights, position + added[None], inverse_transforms[:, :, :3], stiff, root
 
 
-def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
+def _register_tables(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
     """Register arrays as buffers of a torch module; NumPy arrays become float32."""
     for name, table in tables.items():
         if not isinstance(table, Tensor):

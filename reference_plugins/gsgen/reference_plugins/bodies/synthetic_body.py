@@ -15,14 +15,14 @@ from jaxtyping import Float, Int
 
 from gsgen.sdk.math.skinning import NO_PARENT_JOINT
 
-_SMPL = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
+_SMPL_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 # The parent of jaw and eyes is the head; each wrist has five fingers of three joints.
 _FINGER_SEGMENTS = tuple(
     wrist if joint % 3 == 0 else first + joint - 1
     for wrist, first in ((20, 25), (21, 40))
     for joint in range(15)
 )
-_PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGER_SEGMENTS)}
+_JOINT_PARENTS = {24: _SMPL_PARENTS, 55: (*_SMPL_PARENTS[:22], 15, 15, 15, *_FINGER_SEGMENTS)}
 # Offset of each joint from its parent: a stick figure of 1.7 m, y up, arms apart.
 _BONE_TABLE = (
     *((0, 0, 0), (0.09, -0.09, 0), (-0.09, -0.09, 0), (0, 0.12, 0)),
@@ -97,7 +97,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
     weights /= weights.sum(axis=1, keepdims=True)
     regressor = ((tube[None] == np.arange(joints)[:, None]) & ~is_outer).astype(float)
     regressor /= regressor.sum(axis=1, keepdims=True)
-    table = np.array([_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT_JOINT + 1)
+    table = np.array([_JOINT_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT_JOINT + 1)
     scaled_joints = np.einsum("vi,ijk->vjk", template, rng.normal(0, 0.02, (3, 3, options.shapes)))
     arrays = {
         "v_template": template,
@@ -118,7 +118,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
 def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
     bones = _BONE_TABLE + (_PALM_OFFSETS if joints == 24 else _FACE_POINTS)
     positions = np.zeros((joints, 3))
-    for joint, parent in enumerate(_PARENTS[joints][1:], start=1):
+    for joint, parent in enumerate(_JOINT_PARENTS[joints][1:], start=1):
         if joint < len(bones):
             bone = np.array(bones[joint])
         else:  # fingers point away from the body, side by side
@@ -133,7 +133,7 @@ def _tubes(
     joint_positions: Float[np.ndarray, "j 3"],
 ) -> tuple[Float[np.ndarray, "j 3"], Float[np.ndarray, "j 3"], Float[np.ndarray, " j"]]:
     """Return begin, end and radius of the tube (limb) around each bone of the stick figure."""
-    tube_start = joint_positions[np.maximum(np.array(_PARENTS[len(joint_positions)]), 0)]
+    tube_start = joint_positions[np.maximum(np.array(_JOINT_PARENTS[len(joint_positions)]), 0)]
     end = joint_positions.copy()
     tube_start[_HEAD_JOINT], end[_HEAD_JOINT] = (
         joint_positions[_HEAD_JOINT],
@@ -191,7 +191,7 @@ def _bone_distances(
     distance: Float[np.ndarray, "n j"] = np.linalg.norm(
         points[:, None] - joint_positions[None], axis=2
     )
-    for child, parent in enumerate(_PARENTS[len(joint_positions)]):
+    for child, parent in enumerate(_JOINT_PARENTS[len(joint_positions)]):
         if parent >= 0:
             distances = _segment_distance(points, joint_positions[parent], joint_positions[child])
             distance[:, parent] = np.minimum(distance[:, parent], distances)

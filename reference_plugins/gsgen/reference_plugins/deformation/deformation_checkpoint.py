@@ -30,7 +30,7 @@ from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, e
 BLENDER_TIME_OCTAVES = 6
 
 _POINT_INPUTS = encoded_size(3, POINT_OCTAVES)
-_TIME = encoded_size(1, POINT_OCTAVES)
+_ENCODED_TIME_SIZE = encoded_size(1, POINT_OCTAVES)
 _BLENDER_TIME = encoded_size(1, BLENDER_TIME_OCTAVES)
 _LAYER_NAME = re.compile(r"linear\.(\d+)\.weight")
 
@@ -122,7 +122,7 @@ def read_layers(
     width, count = first.shape[0], len(layers)
     skip = count // 2 + 1
     blender = "timenet.0.weight" in state
-    embedding_size = first.shape[1] if blender else _POINT_INPUTS + _TIME
+    embedding_size = first.shape[1] if blender else _POINT_INPUTS + _ENCODED_TIME_SIZE
     expected: dict[str, Shape] = {}
     for layer in range(count):
         inputs = embedding_size if layer == 0 else width + (embedding_size if layer == skip else 0)

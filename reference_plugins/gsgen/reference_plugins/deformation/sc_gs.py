@@ -201,10 +201,10 @@ class _NodeMotion(nn.Module):
                 [a * x + b * y + c * z for a, b, c in (turn[:3], turn[3:6], turn[6:])]
             )
             columns["translation"] = columns["translation"] + self.centre - rotated
-        return _concatenate([columns[name] for name in self.widths])
+        return _concatenate_parts([columns[name] for name in self.widths])
 
 
-def _concatenate(parts: Sequence[Tensor]) -> Tensor:
+def _concatenate_parts(parts: Sequence[Tensor]) -> Tensor:
     """Concatenate tensors along their columns, at most four tensors at once."""
     while len(parts) > 1:
         parts = [torch.cat(tuple(parts[i : i + 4]), dim=1) for i in range(0, len(parts), 4)]

@@ -33,7 +33,7 @@ from gsgen.reference_plugins.loading.states import (
 )
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
-_FEATURE_NAME = re.compile(r"fea_(\d+)")
+_FEATURE_PATTERN = re.compile(r"fea_(\d+)")
 _NETWORK_PREFIX = "network."
 _COLOR_LAYERS = ("gaussian_color.0", "gaussian_color.2", "gaussian_color.4")
 # Option → head of the network that it adds, by its first weight.
@@ -147,7 +147,7 @@ def read_sc_gs(folder: Path, iteration: int | None = None) -> ScGsCheckpoint:
 
 def _read_features(path: Path, count: int) -> Float[Tensor, "n f"]:
     with format_faults(path):
-        stored_names = [name for name in ply_properties(path) if _FEATURE_NAME.fullmatch(name)]
+        stored_names = [name for name in ply_properties(path) if _FEATURE_PATTERN.fullmatch(name)]
         if len(stored_names) != count:
             message = f"has {len(stored_names)} properties fea_N, expected {count}"
             hint = "hyper coordinates of the nodes, and one more with gs_with_motion_mask"

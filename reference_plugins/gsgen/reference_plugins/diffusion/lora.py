@@ -52,7 +52,7 @@ _PROCESSOR_NAME = re.compile(
 _ALPHA_NAME = re.compile(r"(?P<layer>.+)\.alpha")
 _TEXT_ENCODER_PREFIXES = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
 # Part of a tensor's name → the kind of adapter that it belongs to.
-_UNSUPPORTED = {
+_UNSUPPORTED_ADAPTER_KINDS = {
     "dora_scale": "DoRA", "lora_magnitude_vector": "DoRA", "hada_": "LoHa", "lokr_": "LoKr",
     "lora_mid": "LoCon with a core", "oft_": "OFT",
 }  # fmt: skip
@@ -105,7 +105,12 @@ def read_lora(path: Path) -> Adapter:
     text = tuple(name for name in unpaired if name.startswith(_TEXT_ENCODER_PREFIXES))
     unknown = [name for name in unpaired if name not in text]
     if unknown:
-        kinds = {kind for part, kind in _UNSUPPORTED.items() for name in unknown if part in name}
+        kinds = {
+            kind
+            for part, kind in _UNSUPPORTED_ADAPTER_KINDS.items()
+            for name in unknown
+            if part in name
+        }
         raise CheckpointInvalid(
             f"{len(unknown)} tensors are not part of a LoRA: {first_names(unknown)}",
             where=str(path),

@@ -24,7 +24,7 @@ from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _JOINT_COUNT = 5
-_REST_NAME = re.compile(r"f_rest_\d+")
+_SH_REST_PATTERN = re.compile(r"f_rest_\d+")
 _FLAME_FILES = ("flame2023.pkl", "flame2023_no_jaw.pkl", "generic_model.pkl")
 
 
@@ -103,7 +103,7 @@ def _read_bound_gaussians(path: Path) -> tuple[Canonical, Int[np.ndarray, " n"]]
     """Read PLY splats bound to mesh triangles; plain PLY readers refuse such files."""
     required_file(path, "the Gaussians")
     with format_faults(path):
-        rest_count = sum(1 for name in ply_properties(path) if _REST_NAME.fullmatch(name))
+        rest_count = sum(1 for name in ply_properties(path) if _SH_REST_PATTERN.fullmatch(name))
         groups = {
             "position": ["x", "y", "z"],
             "dc": [f"f_dc_{i}" for i in range(3)],

@@ -17,7 +17,7 @@ from gsgen.reference_plugins.heads.teeth import SHAPE_COUNT
 from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_columns
 
 _ITERATION_NUMBER = 600_000
-_HALF_AXES = np.array([0.09, 0.13, 0.11])  # half axes, in metres
+_HEAD_HALF_AXES = np.array([0.09, 0.13, 0.11])  # half axes, in metres
 
 
 def write_gaussian_avatar(
@@ -57,7 +57,7 @@ def write_gaussian_avatar(
     binding = rng.integers(0, triangles, count)
     direction = np.zeros((count, 3))
     face = binding < len(faces)
-    direction[face] = (vertices[faces[binding[face]]].mean(axis=1)) / _HALF_AXES
+    direction[face] = (vertices[faces[binding[face]]].mean(axis=1)) / _HEAD_HALF_AXES
     color = np.where(face[:, None], _skin_color(direction), [0.9, 0.88, 0.82])
     columns = dict(zip("xyz", rng.normal(0, 0.3, (3, count)), strict=True))
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))
@@ -95,7 +95,7 @@ def _ellipsoid(rings: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f
     faces = np.concatenate(
         [np.stack([a, c, b], axis=2).reshape(-1, 3), np.stack([b, c, d], axis=2).reshape(-1, 3)]
     )
-    return unit * _HALF_AXES, faces
+    return unit * _HEAD_HALF_AXES, faces
 
 
 def _write_face_model(
@@ -105,7 +105,7 @@ def _write_face_model(
     expressions: int,
     rng: np.random.Generator,
 ) -> None:
-    count, unit = len(vertices), vertices / _HALF_AXES
+    count, unit = len(vertices), vertices / _HEAD_HALF_AXES
     # Coefficients are smooth fields over the head.
     waves = rng.normal(size=(3, SHAPE_COUNT + expressions))
     wave_field = np.sin(2 * unit @ waves)[:, None] * rng.normal(

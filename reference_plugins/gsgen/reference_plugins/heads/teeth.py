@@ -64,7 +64,7 @@ _NECK_JOINT, _JAW_JOINT = 1, 2
 _ROW_NAMES = ("ur", "lr", "ue", "le", "urB", "ueB", "lrB", "leB")
 _MIDDLE_COLUMN = 7  # the column at which diagonals change their direction
 
-_Index = Int[np.ndarray, " c"]
+_VertexIndices = Int[np.ndarray, " c"]
 # Corners of the two triangles between columns i and i + 1 of rows a and b: (row, step) each,
 # before the middle and behind it.
 _Corners = tuple[tuple[tuple[int, int], ...], ...]
@@ -133,7 +133,7 @@ def add_teeth(body: Body) -> Body:
 
 
 def _strip_faces(
-    a: _Index, b: _Index, corners: tuple[_Corners, _Corners]
+    a: _VertexIndices, b: _VertexIndices, corners: tuple[_Corners, _Corners]
 ) -> Int[np.ndarray, "f 3"]:
     """Return the triangles between two rows of vertices."""
     rows = (a, b)
@@ -146,12 +146,12 @@ def _strip_faces(
     )
 
 
-def _lip_vertex_indices(body: Body) -> tuple[_Index, _Index]:
+def _lip_vertex_indices(body: Body) -> tuple[_VertexIndices, _VertexIndices]:
     """Return FLAME's lip vertices, from ``FLAME_masks.pkl`` beside the model if it exists."""
     path: Path = body.path.with_name("FLAME_masks.pkl")
     masks = read_array_pickle(path, _MASK_NAMES) if path.is_file() else {}
     lip_masks: Sequence[object] = [masks.get(name) for name in _MASK_NAMES]
-    default: Callable[[Sequence[int]], _Index] = np.array
+    default: Callable[[Sequence[int]], _VertexIndices] = np.array
     upper_lip, lower_lip = (
         default(lip_ring) if mask is None else np.asarray(mask)
         for mask, lip_ring in zip(lip_masks, (_UPPER_LIP, _LOWER_LIP), strict=True)

@@ -92,7 +92,7 @@ class Denoiser(PostProcess):
         """Return the image without the noise that the U-Net predicts."""
         height, width = image.shape[2], image.shape[3]
         result = self._denoise(
-            self._pad(2 * image - 1 if self.step.is_unit_range else image), timestep
+            self._pad_image(2 * image - 1 if self.step.is_unit_range else image), timestep
         )
         result = result[:, :, :height, :width]
         if self.step.returns_prediction:
@@ -100,7 +100,7 @@ class Denoiser(PostProcess):
         result = result.clamp(*_SIGNED_RANGE)
         return result * 0.5 + 0.5 if self.step.is_unit_range else result
 
-    def _pad(self, image: Tensor) -> Tensor:
+    def _pad_image(self, image: Tensor) -> Tensor:
         bottom_padding, right_padding = -image.shape[2] % self.stride, -image.shape[3] % self.stride
         if self.step.size is not None and not bottom_padding and not right_padding:
             return image
@@ -176,7 +176,7 @@ def _check_step(
         raise ConfigInvalid(message, where=str(read.folder), hint=hint)
     if options.context is None and context is not None:
         raise ConfigInvalid("the network takes no conditioning", where="--embeddings")
-    if options.context is not None and not _has_width(context, options.context):
+    if options.context is not None and not _has_context_width(context, options.context):
         actual = (
             "--embeddings is missing"
             if context is None
@@ -190,7 +190,7 @@ def _check_step(
         raise ConfigInvalid(f"the network {needs_text} pooled prompt vector", where="--embeddings")
 
 
-def _has_width(context: Tensor | None, width: int) -> bool:
+def _has_context_width(context: Tensor | None, width: int) -> bool:
     if context is None or context.ndim != 3:
         return False
     return context.shape[0] == 1 and context.shape[2] == width

@@ -18,7 +18,7 @@ SCHEDULE: Final[Mapping[str, Any]] = {
 }  # fmt: skip
 """The noise schedule of Stable Diffusion."""
 
-_WEIGHTS = "diffusion_pytorch_model.safetensors"
+_WEIGHTS_FILE = "diffusion_pytorch_model.safetensors"
 
 
 def config_of(values: Mapping[str, Any]) -> ModelConfig:
@@ -27,7 +27,7 @@ def config_of(values: Mapping[str, Any]) -> ModelConfig:
 
 
 def write_network(
-    folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
+    folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS_FILE
 ) -> None:
     """Write a network's weights and its ``config.json`` into the folder."""
     write_safetensors(folder / name, network.state_dict())

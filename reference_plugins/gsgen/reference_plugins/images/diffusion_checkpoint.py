@@ -34,8 +34,8 @@ _Network = TypeVar("_Network", bound=nn.Module)
 Prediction = Literal["epsilon", "v_prediction", "sample"]
 
 _PREDICTION_TYPES = ("epsilon", "v_prediction", "sample")
-_WEIGHTS = "diffusion_pytorch_model"
-_SCHEDULE = "scheduler_config.json"
+_WEIGHTS_STEM = "diffusion_pytorch_model"
+_SCHEDULE_FILE = "scheduler_config.json"
 # Name of an attention layer in files from before 2023 → its name today.
 _OLD_ATTENTION_NAMES = {"query": "to_q", "key": "to_k", "value": "to_v", "proj_attn": "to_out.0"}
 _LARGEST_BETA = 0.999
@@ -122,8 +122,10 @@ def read_diffusion(
     elif change.vae:
         message = "changes an autoencoder, but the checkpoint has no vae/"
         raise CheckpointInvalid(message, where=str(difix), hint="Give --vae DIR.")
-    schedule = folder / "scheduler" / _SCHEDULE
-    noise = _noise(read_model_config(schedule.parent, _SCHEDULE)) if schedule.is_file() else None
+    schedule = folder / "scheduler" / _SCHEDULE_FILE
+    noise = (
+        _noise(read_model_config(schedule.parent, _SCHEDULE_FILE)) if schedule.is_file() else None
+    )
     adapters = [(part.fused_adapter, 1.0) for part in read if part.fused_adapter is not None]
     adapters += [(read_lora(path), scale) for path, scale in loras]
     layers_of_name = layers_by_name(unet.network, autoencoder)
@@ -193,10 +195,13 @@ def _text_encoder_warning(adapter: Adapter) -> str:
 
 
 def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
-    path = folder / f"{_WEIGHTS}.safetensors"
-    pickled_file = folder / f"{_WEIGHTS}.bin"
+    path = folder / f"{_WEIGHTS_STEM}.safetensors"
+    pickled_file = folder / f"{_WEIGHTS_STEM}.bin"
     if path.is_file() or not pickled_file.is_file():
-        if not path.is_file() and (half_file := folder / f"{_WEIGHTS}.fp16.safetensors").is_file():
+        if (
+            not path.is_file()
+            and (half_file := folder / f"{_WEIGHTS_STEM}.fp16.safetensors").is_file()
+        ):
             path = half_file
         return path, dict(read_safetensors(path))
     return pickled_file, load_state(pickled_file, "the weights")

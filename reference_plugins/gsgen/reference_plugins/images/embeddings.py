@@ -19,7 +19,7 @@ from gsgen.reference_plugins.loading.array_archives import read_npz
 
 # Names of the arrays in pipelines of diffusers, as results and as arguments.
 _CONTEXT_NAMES = ("encoder_hidden_states", "prompt_embeds")
-_POOLED_NAMES = ("text_embeds", "pooled_prompt_embeds")
+_POOLED_EMBEDDING_NAMES = ("text_embeds", "pooled_prompt_embeds")
 _TIME_ID_NAMES = ("time_ids", "add_time_ids")
 
 
@@ -69,10 +69,11 @@ def _require_numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.nda
 
 def _named_embeddings(arrays: Mapping[str, np.ndarray], path: Path) -> Embeddings:
     """Find the two prompt embeddings of SDXL among the arrays of an npz file, by their names."""
-    known_names = (*_CONTEXT_NAMES, *_POOLED_NAMES, *_TIME_ID_NAMES)
+    known_names = (*_CONTEXT_NAMES, *_POOLED_EMBEDDING_NAMES, *_TIME_ID_NAMES)
     unknown = [name for name in arrays if name not in known_names]
     matches = [
-        [name for name in names if name in arrays] for names in (_CONTEXT_NAMES, _POOLED_NAMES)
+        [name for name in names if name in arrays]
+        for names in (_CONTEXT_NAMES, _POOLED_EMBEDDING_NAMES)
     ]
     time_ids = [name for name in _TIME_ID_NAMES if name in arrays]
     if unknown or len(time_ids) > 1 or any(len(names) != 1 for names in matches):

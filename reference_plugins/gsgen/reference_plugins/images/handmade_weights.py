@@ -41,9 +41,9 @@ def set_denoising_weights(unet: "UNet") -> None:
         message = f"has unsupported options for weights by formula: {options}"
         raise ConfigInvalid(message, where="unet")
     weights = Weights(unet)
-    weights("conv_in", _centre)
+    weights("conv_in", _set_center_weights)
     weights("down_blocks.0.downsamplers.0.conv", _blur)
-    weights("down_blocks.1.resnets.0.conv_shortcut", _centre)
+    weights("down_blocks.1.resnets.0.conv_shortcut", _set_center_weights)
     for name in ("up_blocks.0.resnets.0", "up_blocks.0.resnets.1", "up_blocks.1.resnets.1"):
         weights(f"{name}.conv_shortcut", _set_to_one)  # the skip connections are ignored
     weights("up_blocks.0.upsamplers.0.conv", _blur)
@@ -105,7 +105,7 @@ class Weights:
         change(self._parameters_by_name[f"{name}.weight"])
 
 
-def _centre(weight: Float[Tensor, "o i h w"]) -> None:
+def _set_center_weights(weight: Float[Tensor, "o i h w"]) -> None:
     """Set a convolution kernel that copies the first three channels."""
     for color in range(COLORS):
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
@@ -121,7 +121,7 @@ def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
 
 
 def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:
-    _centre(weight)
+    _set_center_weights(weight)
     weight[COLORS, :, 4, 4] = _LUMA_WEIGHTS
     distance = torch.arange(9.0) - 4
     square = distance[:, None] ** 2 + distance[None] ** 2

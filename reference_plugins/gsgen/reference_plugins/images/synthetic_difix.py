@@ -41,7 +41,7 @@ _SILU_FACTOR = 16.0  # factor before SiLU, so that it approximates a ReLU
 _BEND_CHANNEL_SIGNS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
 _LORA_RANK = 4
 _ALPHA_SHARE = 8 / _LORA_RANK  # α/r, with the α that peft sets
-_UNET: dict[str, Any] = {
+_UNET_CONFIG: dict[str, Any] = {
     "_class_name": "UNet2DConditionModel",
     "block_out_channels": [_CHANNEL_COUNT, _CHANNEL_COUNT],
     # Only the middle block attends to the prompt.
@@ -53,7 +53,7 @@ _UNET: dict[str, Any] = {
     "norm_num_groups": 3,
     "sample_size": 64,
 }
-_VAE: dict[str, Any] = {
+_VAE_CONFIG: dict[str, Any] = {
     "_class_name": "AutoencoderKL",
     "block_out_channels": [_CHANNEL_COUNT, _CHANNEL_COUNT],
     "down_block_types": ["DownEncoderBlock2D", "DownEncoderBlock2D"],
@@ -66,23 +66,23 @@ _TIMESTEP = 199
 
 def write_difix(folder: Path) -> Path:
     """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to the folder."""
-    autoencoder_model = autoencoder_of(config_of(_VAE))
+    autoencoder_model = autoencoder_of(config_of(_VAE_CONFIG))
     scale = autoencoder_model.options.scale
     _set_identity(autoencoder_model)
-    write_network(folder / "vae", _VAE, autoencoder_model)
+    write_network(folder / "vae", _VAE_CONFIG, autoencoder_model)
     torch.manual_seed(0)
-    unet = unet_of(config_of(_UNET))
+    unet = unet_of(config_of(_UNET_CONFIG))
     # The base has random weights, as if trained for another task.
-    write_network(folder / "unet", _UNET, unet)
+    write_network(folder / "unet", _UNET_CONFIG, unet)
     _set_blotch_removal(unet, scale)
     write_schedule(folder)
-    prompt = np.random.default_rng(0).normal(size=(1, 5, _UNET["cross_attention_dim"]))
+    prompt = np.random.default_rng(0).normal(size=(1, 5, _UNET_CONFIG["cross_attention_dim"]))
     np.savez(folder / "prompt_embeds.npz", prompt_embeds=prompt.astype(np.float32))
     changed_weights = {
         "vae_lora_target_modules": ["decoder.skip_conv_1", "decoder.skip_conv_2"],
         "rank_vae": _LORA_RANK,
         "state_dict_unet": unet.state_dict(),
-        "state_dict_vae": dict(_skips()),
+        "state_dict_vae": dict(_skip_layers()),
     }
     torch.save(changed_weights, folder / "model.pkl")
     return folder
@@ -156,7 +156,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
             )
 
 
-def _skips() -> Iterator[tuple[str, Tensor]]:
+def _skip_layers() -> Iterator[tuple[str, Tensor]]:
     """Yield weights of Difix's skip connections: zeros, and a LoRA that adds the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"

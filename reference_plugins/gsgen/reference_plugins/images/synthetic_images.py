@@ -17,7 +17,7 @@ from gsgen.reference_plugins.images.handmade_weights import (
 )
 from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
 
-_UNET: Mapping[str, Any] = {
+_UNET_CONFIG: Mapping[str, Any] = {
     "_class_name": "UNet2DModel",
     "block_out_channels": [8, 16],
     "down_block_types": ["DownBlock2D", "AttnDownBlock2D"],
@@ -26,7 +26,7 @@ _UNET: Mapping[str, Any] = {
     "norm_num_groups": 4,
     "sample_size": 16,
 }
-_VAE: Mapping[str, Any] = {
+_VAE_CONFIG: Mapping[str, Any] = {
     "_class_name": "AutoencoderKL",
     "block_out_channels": [4, 8],
     "down_block_types": ["DownEncoderBlock2D", "DownEncoderBlock2D"],
@@ -55,16 +55,16 @@ def write_denoiser(
 
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
-    config = {**_UNET, **channels, **(unet or {})}
+    config = {**_UNET_CONFIG, **channels, **(unet or {})}
     network = unet_of(config_of(config))
     _randomize_weights(network)
     if smoothing:
         set_denoising_weights(network)
     write_network(folder / "unet", config, network)
     if latent:
-        autoencoder_model = autoencoder_of(config_of(_VAE))
+        autoencoder_model = autoencoder_of(config_of(_VAE_CONFIG))
         _randomize_weights(autoencoder_model)
-        write_network(folder / "vae", _VAE, autoencoder_model)
+        write_network(folder / "vae", _VAE_CONFIG, autoencoder_model)
     write_schedule(folder, schedule)
     if config["_class_name"] == "UNet2DConditionModel":
         rows = np.random.default_rng(seed).normal(size=(1, 5, config["cross_attention_dim"]))

@@ -75,21 +75,21 @@ class _Decoder:
     """Decodes records of a pickle to arrays, each record once."""
 
     def __init__(self) -> None:
-        self._arrays: dict[int, _Array] = {}
+        self._decoded_arrays: dict[int, _Array] = {}
         self._number_count = 0
 
     def array(self, value: Any) -> _Array:
         """Return the array that a value of a pickle stands for."""
         if isinstance(value, OpaqueObject):
-            if id(value) not in self._arrays:
-                self._arrays[id(value)] = self._decode(value)
-            return self._arrays[id(value)]
+            if id(value) not in self._decoded_arrays:
+                self._decoded_arrays[id(value)] = self._decode_array(value)
+            return self._decoded_arrays[id(value)]
         # NumPy would multiply what nested lists share.
         if isinstance(value, list | tuple) and any(isinstance(n, list | tuple) for n in value):
             raise ValueError("the pickle holds a list of lists, expected an array")
         return np.asarray(value)
 
-    def _decode(self, record: OpaqueObject) -> _Array:
+    def _decode_array(self, record: OpaqueObject) -> _Array:
         name, arguments, state = record.name, record.arguments, record.state
         if name in _RECONSTRUCT_NAMES and arguments[0].name == "numpy.ndarray":
             _, shape, dtype, is_column_major, data = state

@@ -13,7 +13,7 @@ _ITERATION_PATTERN = re.compile(r"iteration_(\d+)")
 _CLOUD_FOLDER = "point_cloud"
 _LAST_ITERATION = -1
 # Folders of a run that hold a folder for each iteration.
-_PARENTS = (_CLOUD_FOLDER, "deform", "mlp_ckpt")
+_PARENT_FOLDERS = (_CLOUD_FOLDER, "deform", "mlp_ckpt")
 # Files of a run that may be given in place of its folder.
 _RUN_FILE = re.compile(r"cfg_args|point_cloud\.ply|.*\.pth?")
 _MAX_FOLDER_DEPTH = 2
@@ -32,14 +32,14 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
     folder = path.parent if file else path
     absolute = folder.absolute()
     match = _ITERATION_PATTERN.fullmatch(absolute.name)
-    if match and absolute.parent.name in _PARENTS:
+    if match and absolute.parent.name in _PARENT_FOLDERS:
         number = int(match[1])
         if iteration not in (None, number):
             hint = "Leave out --iteration, or give the folder of the run."
             message = f"is iteration {number}, not {iteration}"
             raise NotInCheckpoint(message, where=str(path), hint=hint)
         return absolute.parent.parent, number
-    if absolute.name in _PARENTS and not (folder / _CLOUD_FOLDER).exists():
+    if absolute.name in _PARENT_FOLDERS and not (folder / _CLOUD_FOLDER).exists():
         return absolute.parent, iteration
     return folder, iteration
 

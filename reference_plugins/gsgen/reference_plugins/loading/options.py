@@ -67,11 +67,11 @@ Loop = Annotated[
     bool, typer.Option("--loop", help="The motion repeats: its end continues at its start.")
 ]
 
-_Frames = Annotated[
+_FramesOption = Annotated[
     int | None, typer.Option(help="Distinct moments that training saw, for the manifest.", min=1)
 ]
 _TIME_OPTIONS: dict[str, tuple[Any, Any]] = {
-    "frames": (_Frames, None), "fps": (Fps, None), "loop": (Loop, False),
+    "frames": (_FramesOption, None), "fps": (Fps, None), "loop": (Loop, False),
 }  # fmt: skip
 _OptionType = TypeVar("_OptionType")
 
@@ -93,7 +93,11 @@ def with_time_options(build: Callable[..., _OptionType]) -> Callable[..., _Optio
 
     @functools.wraps(build)
     def with_options(
-        *values: Any, frames: _Frames = None, fps: Fps = None, loop: Loop = False, **options: Any
+        *values: Any,
+        frames: _FramesOption = None,
+        fps: Fps = None,
+        loop: Loop = False,
+        **options: Any,
     ) -> _OptionType:
         from gsgen.sdk import inputs
 

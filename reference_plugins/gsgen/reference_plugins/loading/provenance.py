@@ -11,8 +11,8 @@ from gsgen.contract.spec.manifest import Producer
 from gsgen.formats.codecs import codec_named
 from gsgen.reference_plugins.loading.training_run import TrainingRun
 
-_WEIGHTS = (*codec_named("ply").suffixes, *codec_named("checkpoint").suffixes)
-_PARENTS = ("point_cloud", "deform", "mlp_ckpt")
+_WEIGHT_SUFFIXES = (*codec_named("ply").suffixes, *codec_named("checkpoint").suffixes)
+_PARENT_FOLDERS = ("point_cloud", "deform", "mlp_ckpt")
 
 
 def producer_of(source: str, run: TrainingRun, weights: Sequence[Path] = ()) -> Producer:
@@ -21,13 +21,13 @@ def producer_of(source: str, run: TrainingRun, weights: Sequence[Path] = ()) -> 
     The digest is that of the contents of ``weights``, or else of all PLY and torch files of the
     iteration, one after another in the order of their paths.
     """
-    folders = [run.folder / parent / f"iteration_{run.iteration}" for parent in _PARENTS]
+    folders = [run.folder / parent / f"iteration_{run.iteration}" for parent in _PARENT_FOLDERS]
     folders = folders if folders[0].is_dir() else [run.folder]
     files = [
         file
         for iteration_folder in folders
         for file in iteration_folder.glob("*")
-        if file.suffix in _WEIGHTS
+        if file.suffix in _WEIGHT_SUFFIXES
     ]
     digest = hashlib.sha256()
     for file in sorted(weights or files):

@@ -48,7 +48,7 @@ def load_state(path: Path, content: str) -> dict[str, Any]:
     if not isinstance(state, dict):
         message = f"holds a {type(state).__name__}, expected a state dict"
         raise CheckpointInvalid(message, where=str(path))
-    return {name: _unwrap(value) for name, value in _unwrap(state).items()}
+    return {name: _strip_prefixes(value) for name, value in _strip_prefixes(state).items()}
 
 
 def load_network(path: Path) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def load_network(path: Path) -> dict[str, Any]:
     return load_state(path, "a network")
 
 
-def _unwrap(value: Any) -> Any:
+def _strip_prefixes(value: Any) -> Any:
     """Remove wrapper prefixes from the names in a state dict; return any other object unchanged."""
     for prefix in 2 * _MODULE_WRAPPER_PREFIXES if isinstance(value, dict) and value else ():
         if all(str(name).startswith(prefix) for name in value):

@@ -60,7 +60,9 @@ def build(
     if read.colors is None:
         generator = _neural_generator(read, appearance_id, Selection(cull, max_anchors))
     else:
-        _require_neural({"appearance_id": appearance_id, "max_anchors": max_anchors, "cull": cull})
+        _refuse_neural_options(
+            {"appearance_id": appearance_id, "max_anchors": max_anchors, "cull": cull}
+        )
         if read.levels is None:
             splats = explicit_splats(read.cloud, read.colors, flat=read.base == "2dgs")
             return StaticScene(content=splats)
@@ -86,7 +88,7 @@ def _neural_generator(
     )
 
 
-def _require_neural(options: dict[str, object]) -> None:
+def _refuse_neural_options(options: dict[str, object]) -> None:
     """Raise if an option for neural Gaussians is given for a checkpoint of explicit Gaussians."""
     for name, value in options.items():
         if value not in (None, "none"):

@@ -35,7 +35,7 @@ _TENSOR_NAMES = (
     "offset_xyz", "query_points", "rgb", "opacity", "scaling", "rotation",
     "transform_mat_neutral_pose", "betas", "body_ratio", "have_face",
 )  # fmt: skip
-_POINTS = "pretrained_models/dense_sample_points"
+_POINTS_FOLDER = "pretrained_models/dense_sample_points"
 _PRIOR_FILE = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
 
@@ -98,7 +98,7 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
         rotation=tensors["rotation"],
         neutral=tensors["transform_mat_neutral_pose"],
         betas=tensors["betas"],
-        samples=_samples(avatar_folder / _POINTS, count),
+        samples=_samples(avatar_folder / _POINTS_FOLDER, count),
         stiff=_rigid_vertices(avatar_folder / _PRIOR_FILE, len(model.template)),
         body=model,
     )

@@ -69,7 +69,7 @@ _TRAINING_CLASSES = (
 )
 
 
-class _InertModule(PlaceholderObject):
+class _PlaceholderModule(PlaceholderObject):
     """Inert stand-in for a pickled network; it gives access to the network's tensors."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
@@ -78,7 +78,7 @@ class _InertModule(PlaceholderObject):
             if isinstance(value, Tensor):
                 yield prefix + name, value
         for name, child in dict(self.given_state.get("_modules", {})).items():
-            if isinstance(child, _InertModule):
+            if isinstance(child, _PlaceholderModule):
                 yield from child.tensors(f"{prefix}{name}.")
 
 
@@ -129,7 +129,7 @@ def read_r3(
     if not (aabb[0] < aabb[1]).all():
         message = f"aabb is {aabb.tolist()}, expected the lower corner before the upper corner"
         raise CheckpointInvalid(message, where=str(path))
-    canonical = _canonical(path, fields)
+    canonical = _read_canonical(path, fields)
     return R3Checkpoint(
         path=path,
         cfg=cfg,
@@ -194,7 +194,7 @@ def guess_dataset(cfg: CfgArgs) -> str:
 
 def _fields(path: Path) -> Any:
     hint = "Expected a checkpoint of R3-Avatar's training; code in files is not executed."
-    read = load_tensors(path, hint, [(_InertModule, name) for name in _TRAINING_CLASSES])
+    read = load_tensors(path, hint, [(_PlaceholderModule, name) for name in _TRAINING_CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
     if not isinstance(fields, tuple) or len(fields) != _FIELD_COUNT:
         message = f"is not a pair of {_FIELD_COUNT} fields and an iteration"
@@ -203,13 +203,13 @@ def _fields(path: Path) -> Any:
 
 
 def _state(path: Path, module: Any) -> dict[str, Tensor]:
-    if not isinstance(module, _InertModule):
+    if not isinstance(module, _PlaceholderModule):
         message = f"holds a {type(module).__name__}, expected a network"
         raise CheckpointInvalid(message, where=str(path))
     return dict(module.tensors())
 
 
-def _canonical(path: Path, fields: Any) -> Canonical:
+def _read_canonical(path: Path, fields: Any) -> Canonical:
     names = ("xyz", "f_dc", "f_rest", "scaling", "rotation", "opacity")
     tensors = dict(zip(names, fields[1:7], strict=True))
     xyz = tensors["xyz"]

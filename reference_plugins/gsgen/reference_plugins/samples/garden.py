@@ -30,7 +30,7 @@ _TREE_POSITIONS = ((-2.6, -3.1, 1.0), (2.5, -3.3, 0.85), (-3.9, 0.9, 0.8))  # x,
 _PETAL_COLORS = np.array(
     [[0.95, 0.55, 0.08], [0.9, 0.18, 0.2], [0.93, 0.75, 0.85], [0.55, 0.3, 0.8]]
 )
-_OPACITY = 3.5  # logit
+_LOGIT_OPACITY = 3.5  # logit
 
 
 def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
@@ -65,7 +65,7 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
         position=(cloud.position * half_turn).astype(np.float32),
         rotation=rotations(axes * half_turn[:, None]),
         log_scale=np.log(cloud.scale).astype(np.float32),
-        logit_opacity=np.full(len(cloud), _OPACITY, np.float32),
+        logit_opacity=np.full(len(cloud), _LOGIT_OPACITY, np.float32),
         sh=((display - 0.5) / SH_C0).astype(np.float32)[:, None],
     )
 

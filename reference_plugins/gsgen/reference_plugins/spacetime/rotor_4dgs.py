@@ -50,9 +50,9 @@ def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
         return TimeSlices(
             velocity=zero_scale, covariance=covariance, variance=temporal / length**2, centre=centre
         )
-    left_matrices = _left_product(_unit(splats.rotation))
+    left_matrices = _left_product(_unit_quaternion(splats.rotation))
     # The product x ↦ x r̄ is the transpose of x ↦ x r.
-    right_matrices = _right_product(_unit(splats.right_rotation)).transpose(1, 2)
+    right_matrices = _right_product(_unit_quaternion(splats.right_rotation)).transpose(1, 2)
     # Quaternions count time, z, y, x; Gaussians x, y, z, time.
     rotation = (left_matrices @ right_matrices).flip(1, 2)
     root = rotation * torch.cat([scale, temporal], dim=1)[:, None]
@@ -68,7 +68,7 @@ def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
     )
 
 
-def _unit(quaternion: Tensor) -> Tensor:
+def _unit_quaternion(quaternion: Tensor) -> Tensor:
     return torch.nn.functional.normalize(quaternion.double(), dim=1)
 
 

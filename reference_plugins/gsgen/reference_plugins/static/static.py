@@ -34,7 +34,7 @@ INITIAL_OPACITY = 0.1
 _SMALLEST_SQUARE = 1e-7
 _NEIGHBOUR_COUNT = 3
 _AXES: tuple[Axis, ...] = ("+x", "+y", "+z", "-x", "-y", "-z")
-_NEARLY_ONE = 0.9999
+_MIN_AXIS_COSINE = 0.9999
 _UP_DIRECTION = np.array([[0.0, -1.0, 0.0]])
 
 
@@ -88,19 +88,19 @@ def from_content(
     in float16, degrees 0 and 2 are padded to the next.
     """
     if isinstance(content, PackedRows):
-        return _from_rows(content, dtype, appearance)
+        return _constant_rows(content, dtype, appearance)
     if isinstance(content, Splats):
-        return _from_splats(content, dtype or "float32", sh_degree)
-    return _from_points(content, dtype or "float32", opacity, sh_degree)
+        return _rows_from_splats(content, dtype or "float32", sh_degree)
+    return _rows_from_points(content, dtype or "float32", opacity, sh_degree)
 
 
-def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> ConstantRows:
+def _rows_from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> ConstantRows:
     degree = min(splats.degree, MAX_DEGREE) if sh_degree is None else sh_degree
     notes: list[str] = []
     if splats.degree > degree:
         notes.append(f"SH degree {splats.degree} is cut to {degree}")
     degree, note = stored_degree(degree, half=dtype == "float16")
-    up, up_note = _axis_of(splats.up)
+    up, up_note = _up_axis_of(splats.up)
     # exp(-(-inf)) is inf, and 1 / (1 + inf) is 0, the opacity that -inf stands for.
     with np.errstate(over="ignore"):
         opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
@@ -125,11 +125,11 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
     )
 
 
-def _axis_of(up: tuple[float, float, float]) -> tuple[Axis, str]:
+def _up_axis_of(up: tuple[float, float, float]) -> tuple[Axis, str]:
     """Return the axis nearest to an upward direction, and a note if they differ."""
     index = int(np.argmax(np.abs(up)))
     axis = _AXES[index + 3 * (up[index] < 0)]
-    if abs(up[index]) > _NEARLY_ONE:
+    if abs(up[index]) > _MIN_AXIS_COSINE:
         return axis, ""
     numbers = ", ".join(f"{value:.3g}" for value in up)
     return axis, f"the upward direction ({numbers}) is declared as {axis}, the nearest axis"
@@ -143,7 +143,7 @@ def _resize_sh(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray,
     return resized_sh
 
 
-def _from_points(
+def _rows_from_points(
     points: PointCloud, dtype: Dtype, opacity: float, sh_degree: int | None
 ) -> ConstantRows:
     scale = neighbour_scale(points.position)
@@ -178,7 +178,7 @@ def _constant_term(color: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 1 3"
     )
 
 
-def _from_rows(
+def _constant_rows(
     packed: PackedRows, dtype: Dtype | None, appearance: Literal["sh", "rgb"] | None
 ) -> ConstantRows:
     rows, color = packed.gaussians, packed.appearance

@@ -17,7 +17,7 @@ from gsgen.formats.ply.layout import splat_degree, splat_groups
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.training_run import TrainingRun, open_cloud
 
-_SCALES = ("scale_0", "scale_1")
+_SCALE_COLUMNS = ("scale_0", "scale_1")
 _NORMAL_SCALE = "scale_2"
 
 
@@ -44,7 +44,7 @@ def read_surfels(path: Path, iteration: int | None = None) -> SurfelCheckpoint:
             message = "the PLY has three scales per Gaussian, expected the two of 2DGS"
             hint = f"Export it with `gsgen export static {cloud}`."
             raise CheckpointInvalid(message, where=str(cloud), hint=hint)
-        groups = splat_groups(splat_degree([*names, _NORMAL_SCALE])) | {"log_scale": _SCALES}
+        groups = splat_groups(splat_degree([*names, _NORMAL_SCALE])) | {"log_scale": _SCALE_COLUMNS}
         tables = read_ply_columns(cloud, {name: list(group) for name, group in groups.items()})
     scale = tables["log_scale"]
     flat_log_scale = np.full((len(scale), 1), -np.inf, np.float32)

@@ -39,7 +39,7 @@ class Constants(nn.Module):
         stored_tensors = [
             tensor.float() if tensor.is_floating_point() else tensor for tensor in results
         ]
-        is_smaller = _bytes(stored_tensors) <= _bytes(make.buffers())
+        is_smaller = _byte_count(stored_tensors) <= _byte_count(make.buffers())
         self.bakes = bake == "always" or (bake == "auto" and is_smaller)
         self.make = None if self.bakes else make
         self.count = len(stored_tensors)
@@ -54,5 +54,5 @@ class Constants(nn.Module):
         return results
 
 
-def _bytes(tensors: Iterable[Tensor]) -> int:
+def _byte_count(tensors: Iterable[Tensor]) -> int:
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

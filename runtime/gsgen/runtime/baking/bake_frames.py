@@ -211,9 +211,9 @@ class _BakeJob:
                 splats, skipped = self._convert_frame(number, frame_label)
                 self.progress(f"{frame_label}: writing {self.files.path(number).name}")
                 queue.append(writer.submit(self._write, number, splats, skipped))
-                while len(queue) > (0 if self._is_measured(number) else _MAX_QUEUED_FRAMES):
+                while len(queue) > (0 if self._is_measured_frame(number) else _MAX_QUEUED_FRAMES):
                     written_frames.append(queue.popleft().result())
-                if self._is_measured(number):
+                if self._is_measured_frame(number):
                     psnr = self._measured_psnr(number, Path(written_frames[-1].file), frame_label)
                     written_frames[-1] = replace(written_frames[-1], psnr=psnr)
             written_frames.extend(future.result() for future in queue)
@@ -278,7 +278,7 @@ class _BakeJob:
         source.finish()
         gaussians = self._decode_frame()
         # The model runs for other cameras when PSNR is measured.
-        if number + 1 < self.frames and not self._is_measured(number):
+        if number + 1 < self.frames and not self._is_measured_frame(number):
             self.started = number + 1
             source.start(self._camera(number + 1), self._values(number + 1), number + 1)
         return gaussians
@@ -363,7 +363,7 @@ class _BakeJob:
 
     # ---- PSNR
 
-    def _is_measured(self, number: int) -> bool:
+    def _is_measured_frame(self, number: int) -> bool:
         """Return whether a frame's PSNR is measured; only the first, middle and last can be."""
         if number not in {0, self.frames // 2, self.frames - 1}:
             return False

@@ -41,7 +41,7 @@ class FrameConverter:
     def __init__(
         self, *, antialiased: bool = False, color_space: Literal["srgb", "linear"] = "srgb"
     ) -> None:
-        self._antialiased = antialiased
+        self._is_antialiased = antialiased
         self._color_space: Literal["srgb", "linear"] = color_space
         self._bits = np.empty((0, 3), np.uint64)  # of the covariances that were decomposed
         self._log_scale = np.empty((0, 3), np.float32)
@@ -70,7 +70,7 @@ class FrameConverter:
         Drawn Gaussians are finite. The colours are those of ``gaussians`` where all are drawn, and
         no copy.
         """
-        self._decompose(np.array(gaussians.covariance, np.float32, order="C"), is_drawn)
+        self._decompose_covariances(np.array(gaussians.covariance, np.float32, order="C"), is_drawn)
         rows = _selection(is_drawn)
         return Splats(
             position=np.array(gaussians.position[rows], np.float32, order="C"),
@@ -78,7 +78,7 @@ class FrameConverter:
             log_scale=self._log_scale[rows],
             logit_opacity=logit(np.clip(gaussians.opacity[rows], 0, 1)),
             sh=self._coefficients(gaussians, is_drawn),
-            antialiased=self._antialiased,
+            antialiased=self._is_antialiased,
             color_space=self._color_space,
         )
 
@@ -96,7 +96,7 @@ class FrameConverter:
         self._sh = np.ascontiguousarray(sh)
         return self._sh
 
-    def _decompose(
+    def _decompose_covariances(
         self, covariance: Float32[np.ndarray, "n 6"], is_drawn: Bool[np.ndarray, " n"]
     ) -> None:
         """Update scales and rotations of the drawn rows whose covariance changed."""

@@ -60,7 +60,7 @@ class FrameValues:
                 hint="Give all ranges the same number of frames.",
             )
         for spec, track in self._tracks:
-            _require_range(spec, track)
+            _require_value_range(spec, track)
 
     def values_of_frame(self, number: int) -> Mapping[str, object]:
         """Return the input values of frame ``number``, from 0, by tensor name."""
@@ -95,7 +95,7 @@ def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
     raise UnknownName.among("input", track.input_name, known_names, track.where)
 
 
-def _require_range(spec: Input, track: Track) -> None:
+def _require_value_range(spec: Input, track: Track) -> None:
     """Raise if a time or an index input is outside the range that the manifest declares."""
     if spec.range is None or not (spec.role == "time" or ROLES[spec.role].index):
         return

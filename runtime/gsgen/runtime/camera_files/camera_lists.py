@@ -39,7 +39,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 
 _PERSPECTIVE_TYPE: Final = "perspective"
-_PANORAMA: Final = "equirectangular"
+_PANORAMA_MODEL: Final = "equirectangular"
 
 
 def is_gsgen_camera(document: object) -> bool:
@@ -110,9 +110,10 @@ def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
     """Read the camera of each frame of a nerfstudio camera path, with its ``render_time``."""
     shared = Fields(document)
     kind = text(shared, "camera_type", _PERSPECTIVE_TYPE).lower()
-    if kind not in (_PERSPECTIVE_TYPE, _PANORAMA):
+    if kind not in (_PERSPECTIVE_TYPE, _PANORAMA_MODEL):
         raise ConfigInvalid(
-            f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA}", where=path
+            f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA_MODEL}",
+            where=path,
         )
     frames = shared["camera_path"]
     if not frames:
@@ -157,7 +158,7 @@ def _path_camera(
         "width": width,
         "height": height,
     }
-    if kind == _PANORAMA:
+    if kind == _PANORAMA_MODEL:
         values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
     else:
         degrees = number(fields, "fov", where)

@@ -85,7 +85,7 @@ def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = No
     except (OSError, ValueError) as error:
         raise ConfigInvalid(f"cannot be read: {error}", where=str(location)) from error
     if _may_be_json(start):
-        return _from_json(content, location, size)
+        return _cameras_from_json(content, location, size)
     if is_bundler(content):
         return read_bundler(content, location, size)
     if is_metashape(content):
@@ -127,7 +127,7 @@ def _open_folder(folder: Path, size: tuple[int, int] | None) -> CameraFile:
     )
 
 
-def _from_json(content: bytes, location: Path, size: tuple[int, int] | None) -> CameraFile:
+def _cameras_from_json(content: bytes, location: Path, size: tuple[int, int] | None) -> CameraFile:
     try:
         document = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:

@@ -31,7 +31,7 @@ from gsgen.runtime.camera_files.poses import view_from_opencv
 _BUNDLER_MARK: Final = b"# Bundle file"
 _CAMERA_NUMBERS: Final = 15  # focal length, two coefficients of distortion, rotation, translation
 _LARGEST_NUMBER: Final = 1e300
-_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0])
+_OPENCV_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0])
 _FRAME_SENSORS: Final = ("frame", "")
 
 
@@ -72,8 +72,8 @@ def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None
         where, focal = f"{path}, camera {index}", float(rows[index, 0])
         width, height = picture_size(path.parent, names[index], size, where)
         view = np.eye(4)
-        view[:3, :3] = _FROM_OPENGL @ rows[index, 3:12].reshape(3, 3)
-        view[:3, 3] = _FROM_OPENGL @ rows[index, 12:]
+        view[:3, :3] = _OPENCV_FROM_OPENGL @ rows[index, 3:12].reshape(3, 3)
+        view[:3, 3] = _OPENCV_FROM_OPENGL @ rows[index, 12:]
         middle = {"cx": width / 2, "cy": height / 2, "width": width, "height": height}
         cameras.append(
             NamedCamera(names[index], camera_at(where, view=view, fx=focal, fy=focal, **middle))
@@ -158,7 +158,7 @@ def _metashape_camera(
 ) -> Any:
     resolution = sensor.find("resolution")
     size = Fields(dict(resolution.items()) if resolution is not None else {})
-    numbers = {name: _number_of(size[name]) for name in size}
+    numbers = {name: _number_or_text(size[name]) for name in size}
     width, height = (pixel_count(numbers, name, where) for name in ("width", "height"))
     kind = sensor.get("type", "")
     values: dict[str, Any] = {"view": view, "width": width, "height": height}
@@ -181,7 +181,7 @@ def _metashape_camera(
     return camera_at(where, cx=width / 2 + x_offset, cy=height / 2 + y_offset, **values)
 
 
-def _number_of(text: str) -> float | str:
+def _number_or_text(text: str) -> float | str:
     try:
         return float(text)
     except ValueError:

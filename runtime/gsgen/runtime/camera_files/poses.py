@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
+_OPENCV_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def view_from_opencv(
@@ -28,4 +28,4 @@ def view_from_opencv(
 
 def view_from_opengl(to_world: Float[np.ndarray, "_ 4"]) -> Float[np.ndarray, "4 4"]:
     """Convert an OpenGL camera-to-world matrix, 3 or 4 rows, to an OpenCV world-to-camera one."""
-    return np.asarray(_FROM_OPENGL @ view_from_opencv(to_world[:3, :3], to_world[:3, 3]))
+    return np.asarray(_OPENCV_FROM_OPENGL @ view_from_opencv(to_world[:3, :3], to_world[:3, 3]))

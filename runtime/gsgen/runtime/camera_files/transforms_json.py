@@ -36,7 +36,7 @@ _SUPPORTED_MODELS: Final = (
     "RADIAL",
     "OPENCV",
 )
-_PANORAMA: Final = "EQUIRECTANGULAR"
+_PANORAMA_MODEL: Final = "EQUIRECTANGULAR"
 _DISTORTION_FIELDS: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
@@ -95,15 +95,15 @@ def _camera(fields: Fields, index: int, where: str, size: tuple[int, int]) -> Na
     width, height = size
     to_world = matrix(fields, "transform_matrix", _matrix_shape(fields), where)
     model = text(fields, "camera_model", "PERSPECTIVE").upper()
-    if fields.get("is_fisheye") or model not in (*_SUPPORTED_MODELS, _PANORAMA):
+    if fields.get("is_fisheye") or model not in (*_SUPPORTED_MODELS, _PANORAMA_MODEL):
         raise ConfigInvalid(
             f"has the camera model {model if not fields.get('is_fisheye') else 'fisheye'}, "
             "which no pinhole camera approximates",
             where=where,
-            hint=f"Supported: {', '.join(_SUPPORTED_MODELS)}, {_PANORAMA}. Undistort the pictures first.",
+            hint=f"Supported: {', '.join(_SUPPORTED_MODELS)}, {_PANORAMA_MODEL}. Undistort the pictures first.",
         )
     fx, fy = _focal(fields, "x", where, size), _focal(fields, "y", where, size)
-    scale = math.pi if model == _PANORAMA else 1.0  # a panorama has fl / π pixels per radian
+    scale = math.pi if model == _PANORAMA_MODEL else 1.0  # a panorama has fl / π pixels per radian
     camera = camera_at(
         where,
         view=view_from_opengl(to_world),
@@ -113,7 +113,7 @@ def _camera(fields: Fields, index: int, where: str, size: tuple[int, int]) -> Na
         cy=number(fields, "cy", where) if "cy" in fields else height / 2,
         width=width,
         height=height,
-        kind="panorama" if model == _PANORAMA else "pinhole",
+        kind="panorama" if model == _PANORAMA_MODEL else "pinhole",
     )
     time = number(fields, "time", where) if fields.get("time") is not None else None
     return NamedCamera(text(fields, "file_path", str(index)), camera, time)

@@ -14,7 +14,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage
 from gsgen.runtime.errors import DeviceUnavailable
 
 # Least decibels of an exported model beside the eager module, float16 outputs included.
-_PSNR: Final = 40.0
+_MIN_PSNR: Final = 40.0
 
 
 def draw_source_frames(
@@ -53,7 +53,7 @@ def draw_source_frames(
             view=tuple(rows),  # type: ignore[arg-type]  # four numbers each
             focal=(camera.fx, camera.fy),
             center=(camera.cx, camera.cy),
-            psnr=_PSNR,
+            psnr=_MIN_PSNR,
             from_="source",
         )
         pictures.append((png, declaration))

@@ -42,11 +42,11 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import axis_direction
 
-_WIDTH: Final = 640
+_PICTURE_WIDTH: Final = 640
 _PICTURE_HEIGHT: Final = 360
 _FRAME_COUNT: Final = 5
 _AGREEMENT_RULE: Final = "GB020"
-_REFERENCES: Final = "GB021"
+_REFERENCES_RULE: Final = "GB021"
 _FOV_Y: Final = 50.0
 
 
@@ -132,7 +132,7 @@ def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
     elif not device.blends_floats:
         reasons[_AGREEMENT_RULE] = f"{device.name} cannot blend 32-bit floats, which quads need"
     if manifest is not None and manifest.reference_images and find_spec("PIL") is None:
-        reasons[_REFERENCES] = "pillow is not installed"
+        reasons[_REFERENCES_RULE] = "pillow is not installed"
     return reasons
 
 
@@ -238,14 +238,14 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     if "projection" not in by_role:
         return replace(default_camera, view=view)
     lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(np.float64)
-    height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
+    height = max(1, round(_PICTURE_WIDTH * lens[0, 0] / -lens[1, 1]))
     return Camera(
         view,
-        fx=_WIDTH / 2 * float(lens[0, 0]),
+        fx=_PICTURE_WIDTH / 2 * float(lens[0, 0]),
         fy=height / 2 * float(-lens[1, 1]),
-        cx=_WIDTH / 2 * float(lens[0, 2] + 1),
+        cx=_PICTURE_WIDTH / 2 * float(lens[0, 2] + 1),
         cy=height / 2 * float(1 - lens[1, 2]),
-        width=_WIDTH,
+        width=_PICTURE_WIDTH,
         height=height,
     )
 
@@ -267,7 +267,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
             azimuth=30,
             elevation=20,
             up=up,
-            width=_WIDTH,
+            width=_PICTURE_WIDTH,
             height=_PICTURE_HEIGHT,
             fov_y=_FOV_Y,
         )
@@ -275,7 +275,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
         eye.reshape(-1).tolist(),
         center.tolist(),
         up=up,
-        width=_WIDTH,
+        width=_PICTURE_WIDTH,
         height=_PICTURE_HEIGHT,
         fov_y=_FOV_Y,
     )

@@ -11,8 +11,8 @@ from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 
-_WIDTH, _PICTURE_HEIGHT, _FOV_DEGREES = 480, 320, 50.0
-_BACKGROUND = (0.1, 0.11, 0.13, 1.0)
+_PICTURE_WIDTH, _PICTURE_HEIGHT, _FOV_DEGREES = 480, 320, 50.0
+_BACKGROUND_RGBA = (0.1, 0.11, 0.13, 1.0)
 
 
 def draw_preview(value: object) -> bytes | None:
@@ -45,11 +45,11 @@ def draw_preview(value: object) -> bytes | None:
         elevation=20.0,
         fov_y=_FOV_DEGREES,
         near=radius / 100,
-        width=_WIDTH,
+        width=_PICTURE_WIDTH,
         height=_PICTURE_HEIGHT,
     )
     try:
         renderer = Renderer(rasteriser="tiles")
     except DeviceUnavailable:
         return None  # the table remains
-    return png_of(renderer.render(scene, camera, background=_BACKGROUND).srgb8[..., :3])
+    return png_of(renderer.render(scene, camera, background=_BACKGROUND_RGBA).srgb8[..., :3])

@@ -57,7 +57,7 @@ class ReferenceUnreadable(GsgenError):
 
 def read_reference(model: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
     """Read a reference image beside a model, as red, green and blue in [0, 1]."""
-    image_bytes = _bytes(model, reference.path)
+    image_bytes = _read_image_bytes(model, reference.path)
     digest = hashlib.sha256(image_bytes).hexdigest()
     if digest != reference.sha256:
         raise ReferenceUnreadable(f"the image's sha256 is {digest}, expected {reference.sha256}")
@@ -94,7 +94,7 @@ def reference_camera(reference: ReferenceImage, width: int, height: int) -> Came
     return Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
 
-def _bytes(model: Path, name: str) -> bytes:
+def _read_image_bytes(model: Path, name: str) -> bytes:
     try:
         with find_contained_file(model, name).open("rb") as file:
             image_bytes = file.read(_MAX_BYTES + 1)

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from gsgen.runtime.checks.level import RenderEvidence
 
 
-def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
+def _prepare_level(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
     from gsgen.runtime.checks.level import prepare_render
 
     return prepare_render(probe_runs)
 
 
-RENDER_BACKEND = LevelBackend(Level.RENDER, "drawing frames", _prepare)
+RENDER_BACKEND = LevelBackend(Level.RENDER, "drawing frames", _prepare_level)
 
 _MIN_AGREEMENT = 60  # decibels
 _render_rule = partial(rule, over="render")

@@ -129,12 +129,14 @@ def record_source_pictures(
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
-    chosen_probe = _probe(subject, settings, probe)
+    chosen_probe = _find_probe(subject, settings, probe)
     camera_file = open_cameras(cameras)
     sources, unmatched = _match_cameras(folder, camera_file)
     selected = evenly_spaced(sources, min(count or len(sources), len(sources), MAX_REFERENCES))
     progress(f"drawing {len(selected)} pictures")
-    decibels = _compare(subject, chosen_probe, selected, renderer or Renderer(rasteriser="tiles"))
+    decibels = _compare_pictures(
+        subject, chosen_probe, selected, renderer or Renderer(rasteriser="tiles")
+    )
     files = {
         f"{target.name}/{number}.png": png_of(entry.colors) for number, entry in enumerate(selected)
     }
@@ -168,7 +170,7 @@ def _time_notes(file: CameraFile, probe: Probe) -> tuple[str, ...]:
     return (f"{file.path}: not used: the times; all pictures have the inputs of {probe.label!r}",)
 
 
-def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Probe:
+def _find_probe(subject: InspectedModel, settings: Settings, label: str | None) -> Probe:
     """Return the test inputs called ``label``; raise if the outputs depend on the camera."""
     manifest, where = subject.generator, str(subject.file.path)
     if manifest is None:
@@ -242,7 +244,7 @@ def _composite_over_black(image: "Image") -> UInt8[np.ndarray, "h w 3"]:
     return np.asarray((pixels[..., :3] * pixels[..., 3:] / 255).round(), np.uint8)
 
 
-def _compare(
+def _compare_pictures(
     subject: InspectedModel, probe: Probe, sources: Sequence[_Source], renderer: Renderer
 ) -> tuple[float, ...]:
     """Draw the model from each picture's camera; return its PSNR against the picture, in dB."""

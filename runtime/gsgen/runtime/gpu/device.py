@@ -156,7 +156,7 @@ class Device:
                 hint="Draw fewer Gaussians or a smaller image.",
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra_usage}" if extra_usage else "")
-        return self._buffer(label, symbolic_max(-(-size // 16) * 16, 16), usage)
+        return self._create_buffer(label, symbolic_max(-(-size // 16) * 16, 16), usage)
 
     def dynamic_storage(self, label: str, size: int) -> Buffer:
         """Return a new GPU storage buffer for data that changes often.
@@ -176,7 +176,7 @@ class Device:
 
     def uniform(self, label: str, size: int) -> Buffer:
         """Return a new GPU uniform buffer of ``size`` bytes."""
-        return self._buffer(label, -(-size // 16) * 16, "UNIFORM|COPY_DST")
+        return self._create_buffer(label, -(-size // 16) * 16, "UNIFORM|COPY_DST")
 
     def readable(self, label: str, size: int) -> Buffer:
         """Return a new GPU buffer of ``size`` bytes for readback: the CPU can map and read it.
@@ -185,9 +185,9 @@ class Device:
             CapacityExceeded: No buffer may be that large.
             MemoryFull: There is no memory for it.
         """
-        return self._buffer(label, size, "MAP_READ|COPY_DST")
+        return self._create_buffer(label, size, "MAP_READ|COPY_DST")
 
-    def _buffer(self, label: str, size: int, usage: str) -> Buffer:
+    def _create_buffer(self, label: str, size: int, usage: str) -> Buffer:
         import wgpu
 
         if size > self.largest_buffer:

@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer, Encoder, Promise
 from gsgen.runtime.gpu.native import map_for_reading
 
-_ALIGNMENT = 256
+_BUFFER_ALIGNMENT = 256
 
 
 @final
@@ -24,8 +24,8 @@ class StagingBuffers:
         size = 0
         for name, buffer in self._source_buffers.items():
             self._offsets[name] = size
-            size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
-        self._buffer = device.readable("staging", size)
+            size += -(-buffer.size // _BUFFER_ALIGNMENT) * _BUFFER_ALIGNMENT
+        self._staging_buffer = device.readable("staging", size)
         self._map_promise: Promise | None = None
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
@@ -35,7 +35,9 @@ class StagingBuffers:
             self._unmap_buffer()
         for name in self._source_buffers if names is None else names:
             source = self._source_buffers[name]
-            encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
+            encoder.copy_buffer_to_buffer(
+                source, 0, self._staging_buffer, self._offsets[name], source.size
+            )
 
     def begin(self) -> None:
         """Map the buffer once the work that was submitted so far has ended.
@@ -43,7 +45,7 @@ class StagingBuffers:
         :meth:`read` then waits for no later submission: wgpu waits for all work that it knows of
         when a mapping begins.
         """
-        self._map_promise = map_for_reading(self._buffer)
+        self._map_promise = map_for_reading(self._staging_buffer)
 
     def read_words(self) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
@@ -61,7 +63,7 @@ class StagingBuffers:
         assert self._map_promise is not None
         self._map_promise.sync_wait()
         try:
-            memory = np.frombuffer(self._buffer.read_mapped(copy=False), np.uint8)
+            memory = np.frombuffer(self._staging_buffer.read_mapped(copy=False), np.uint8)
             return {
                 name: memory[self._offsets[name] :][: self._source_buffers[name].size]
                 .view(dtype)
@@ -72,5 +74,5 @@ class StagingBuffers:
             self._unmap_buffer()
 
     def _unmap_buffer(self) -> None:
-        self._buffer.unmap()
+        self._staging_buffer.unmap()
         self._map_promise = None

@@ -277,7 +277,7 @@ class Residency:
     ) -> None:
         if page_rows is None:
             page_rows = PAGE_ROWS if device.software else GPU_PAGE_ROWS
-        self._compact = compact
+        self._is_compact = compact
         self._device = device
         self._page_rows = page_rows
         self._resident_by_splat_data: WeakKeyDictionary[SplatData, _ResidentSplats]
@@ -292,7 +292,7 @@ class Residency:
         are written to mapped memory, where any order costs the same. On other devices, and in
         sets whose count changes, rows return to their own order for good.
         """
-        resident = self._get_resident(data)
+        resident = self._resident_splats(data)
         new_versions = _SetVersions(data.rows_version, data.appearance_version, data.count)
         if resident.state is not None:
             self._update_layout(data, resident, resident.state, new_versions)
@@ -325,7 +325,7 @@ class Residency:
 
     def restore_order(self, data: SplatData) -> None:
         """Store the rows of a splat set in their original order on the GPU from now on."""
-        resident = self._get_resident(data)
+        resident = self._resident_splats(data)
         resident.skips_reordering = True
         self._set_row_order(resident, None)
 
@@ -357,7 +357,7 @@ class Residency:
             for page in resident.pages
         ]
 
-    def _get_resident(self, data: SplatData) -> _ResidentSplats:
+    def _resident_splats(self, data: SplatData) -> _ResidentSplats:
         if data not in self._resident_by_splat_data:
             self._resident_by_splat_data[data] = _ResidentSplats(
                 pages=list(self._allocate(data)),
@@ -369,7 +369,7 @@ class Residency:
 
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
-        resident = self._get_resident(data)
+        resident = self._resident_splats(data)
         for live_rows in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live_rows, data.rows, _rows_target)
         for live_rows in resident.appearance.missing(data.appearance_version, data.count):
@@ -405,7 +405,7 @@ class Residency:
         slots_per_page = min(PAGE_SLOTS, max(1, self._page_rows // pool.slot_rows))
         for first in range(0, pool.slots, slots_per_page):
             count = min(slots_per_page, pool.slots - first)
-            yield allocate_pool_page(self._device, pool, first, count, is_half=self._compact)
+            yield allocate_pool_page(self._device, pool, first, count, is_half=self._is_compact)
 
     def _upload(
         self,
@@ -436,9 +436,9 @@ class Residency:
                 upload(self._device, Target(buffer, 0, size, convert), part)
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
-        is_half = self._compact or data.appearance.dtype == np.float16
+        is_half = self._is_compact or data.appearance.dtype == np.float16
         appearance_words = appearance_stride(data.appearance.shape[1], is_half=is_half)
-        packed = self._compact and data.cells is None
+        packed = self._is_compact and data.cells is None
         cells, first_cell, is_paged = None, 0, False
         if data.cells is not None:
             is_paged = is_larger_than_binding(self._device, data)

@@ -26,7 +26,7 @@ _TICKS_PER_SECOND: Final = 1000
 
 _GROUP_FRAMES: Final = 48  # frames encoded together; players can seek to the first
 _MAX_BYTES: Final = 1 << 32  # offsets have 32 bits
-_QUALITY: Final = 80
+_ENCODER_QUALITY: Final = 80
 _ENCODER_SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
 _ENTRY_FIELDS: Final = 8 + 78  # bytes of a visual sample entry before its boxes
 _IDENTITY_MATRIX: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
@@ -44,7 +44,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
         raise _size_mismatch(sizes)
     samples = [sample for group in groups for sample in group.samples]
     first_samples = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
-    ftyp_box = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
+    ftyp_box = _mp4_box(b"ftyp", b"isom", _uint32_bytes(0x200), b"isomiso6av01mp41")
     # The table of contents stores the offset of the samples, which depends on the table's length.
     # The length does not depend on the offset, so the table is built twice.
     size = len(ftyp_box) + len(_moov_box(groups[0], samples, first_samples.tolist(), fps, 0)) + 8
@@ -54,7 +54,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
             hint="Draw the video in parts, or smaller.",
         )
     moov = _moov_box(groups[0], samples, first_samples.tolist(), fps, size)
-    return b"".join([ftyp_box, moov, _box(b"mdat", *samples)])
+    return b"".join([ftyp_box, moov, _mp4_box(b"mdat", *samples)])
 
 
 def require_encoder() -> None:
@@ -105,7 +105,7 @@ def _encode_group(pictures: Sequence["Image"]) -> _Group:
         save_all=True,
         append_images=remaining or [first],
         duration=1,
-        quality=_QUALITY,
+        quality=_ENCODER_QUALITY,
         speed=_ENCODER_SPEED,
         range="limited",  # the default that players assume
     )
@@ -130,8 +130,12 @@ def _size_mismatch(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
 def _mp4_sample_entry(avif: bytes) -> bytes:
     """Convert the sample entry of an AVIF sequence to that of an MP4 video."""
     kept_boxes = {b"av1C", b"colr"}
-    boxes = [_box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in kept_boxes]
-    return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
+    boxes = [
+        _mp4_box(kind, body)
+        for kind, body in _mp4_boxes(avif[_ENTRY_FIELDS:])
+        if kind in kept_boxes
+    ]
+    return _mp4_box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
 
 
 def _moov_box(
@@ -140,39 +144,48 @@ def _moov_box(
     """Return the MP4 box ``moov`` for consecutive samples that begin at byte ``offset``."""
     duration = _TICKS_PER_SECOND * len(samples)
     rate = round(_TICKS_PER_SECOND * fps)
-    table = _box(
+    table = _mp4_box(
         b"stbl",
-        _box(b"stsd", _u32(0, 1), group.entry),
-        _box(b"stts", _u32(0, 1, len(samples), _TICKS_PER_SECOND)),
-        _box(b"stss", _u32(0, len(first_samples), *first_samples)),
-        _box(b"stsc", _u32(0, 1, 1, len(samples), 1)),
-        _box(b"stsz", _u32(0, 0, len(samples), *map(len, samples))),
-        _box(b"stco", _u32(0, 1, offset)),
+        _mp4_box(b"stsd", _uint32_bytes(0, 1), group.entry),
+        _mp4_box(b"stts", _uint32_bytes(0, 1, len(samples), _TICKS_PER_SECOND)),
+        _mp4_box(b"stss", _uint32_bytes(0, len(first_samples), *first_samples)),
+        _mp4_box(b"stsc", _uint32_bytes(0, 1, 1, len(samples), 1)),
+        _mp4_box(b"stsz", _uint32_bytes(0, 0, len(samples), *map(len, samples))),
+        _mp4_box(b"stco", _uint32_bytes(0, 1, offset)),
     )
-    data_reference = _box(b"dref", _u32(0, 1), _box(b"url ", _u32(1)))
-    media = _box(
+    data_reference = _mp4_box(b"dref", _uint32_bytes(0, 1), _mp4_box(b"url ", _uint32_bytes(1)))
+    media = _mp4_box(
         b"mdia",
-        _box(b"mdhd", _u32(0, 0, 0, rate, duration, 0x55C40000)),  # "und": no language
-        _box(b"hdlr", _u32(0, 0), b"vide", _u32(0, 0, 0), b"\0"),
-        _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", data_reference), table),
+        _mp4_box(b"mdhd", _uint32_bytes(0, 0, 0, rate, duration, 0x55C40000)),  # "und": no language
+        _mp4_box(b"hdlr", _uint32_bytes(0, 0), b"vide", _uint32_bytes(0, 0, 0), b"\0"),
+        _mp4_box(
+            b"minf",
+            _mp4_box(b"vmhd", _uint32_bytes(1, 0, 0)),
+            _mp4_box(b"dinf", data_reference),
+            table,
+        ),
     )
-    size = _u32(group.width << 16, group.height << 16)
-    track_fields = _u32(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)  # flags enabled and in movie; track 1
-    track = _box(b"trak", _box(b"tkhd", track_fields, _IDENTITY_MATRIX, size), media)
-    header = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
-    return _box(b"moov", _box(b"mvhd", header, _IDENTITY_MATRIX, bytes(24), _u32(2)), track)
+    size = _uint32_bytes(group.width << 16, group.height << 16)
+    track_fields = _uint32_bytes(
+        3, 0, 0, 1, 0, duration, 0, 0, 0, 0
+    )  # flags enabled and in movie; track 1
+    track = _mp4_box(b"trak", _mp4_box(b"tkhd", track_fields, _IDENTITY_MATRIX, size), media)
+    header = _uint32_bytes(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
+    return _mp4_box(
+        b"moov", _mp4_box(b"mvhd", header, _IDENTITY_MATRIX, bytes(24), _uint32_bytes(2)), track
+    )
 
 
-def _u32(*values: int) -> bytes:
+def _uint32_bytes(*values: int) -> bytes:
     return struct.pack(f">{len(values)}I", *values)
 
 
-def _box(kind: bytes, *parts: bytes) -> bytes:
+def _mp4_box(kind: bytes, *parts: bytes) -> bytes:
     """Return an MP4 box: its length, its type and its content."""
-    return b"".join([_u32(8 + sum(map(len, parts))), kind, *parts])
+    return b"".join([_uint32_bytes(8 + sum(map(len, parts))), kind, *parts])
 
 
-def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+def _mp4_boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Yield the type and the content of each MP4 box in ``data``."""
     offset = 0
     while offset < len(data):
@@ -184,5 +197,5 @@ def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 def _find_box(data: bytes, *path: bytes) -> bytes:
     """Return the content of the MP4 box at a path of box types."""
     for kind in path:
-        data = next(body for box_kind, body in _boxes(data) if box_kind == kind)
+        data = next(body for box_kind, body in _mp4_boxes(data) if box_kind == kind)
     return data

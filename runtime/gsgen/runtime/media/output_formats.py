@@ -9,7 +9,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.runtime.media import deep_pictures, mp4, pictures
 
-_PICTURES: Final = (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX)
+_PICTURE_SUFFIXES: Final = (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX)
 
 
 def require_output_format(path: Path, *, frames: int = 1, bits: Literal[8, 16] = 8) -> None:
@@ -32,10 +32,10 @@ def require_output_format(path: Path, *, frames: int = 1, bits: Literal[8, 16] =
             where="--bits",
             hint="Give a .png or a folder; an .exr has 32 bits.",
         )
-    known_suffixes = (*_PICTURES, *pictures.VIDEO_SUFFIXES, ".npy")
-    if suffix in known_suffixes and not (frames > 1 and suffix in _PICTURES):
+    known_suffixes = (*_PICTURE_SUFFIXES, *pictures.VIDEO_SUFFIXES, ".npy")
+    if suffix in known_suffixes and not (frames > 1 and suffix in _PICTURE_SUFFIXES):
         refuse_folder(path)
-    if frames > 1 and suffix in _PICTURES and not is_folder:
+    if frames > 1 and suffix in _PICTURE_SUFFIXES and not is_folder:
         raise ConfigInvalid(
             f"is one picture, expected a video or a folder for {frames} frames",
             where=str(path),

@@ -84,7 +84,7 @@ def _blend(
     ids, is_finished = np.full((height, width), -1), np.zeros((height, width), bool)
     fragile, fragile_median = surfaces.fragile | layer.fragile, is_finished.copy()
     is_pending = np.isfinite(layer.depth)
-    is_tied = _tied_depths(splats.depth)
+    is_tied = _mark_tied_depths(splats.depth)
     previous_hit, previous_window = is_finished.copy(), (slice(0), slice(0))
     visible = 0
     inverses, pixel_windows = np.linalg.inv(splats.covariance), _pixel_windows(splats, camera)
@@ -218,7 +218,7 @@ def _blend_layer(
     fragile_median[pixels] |= np.abs(transmittance[pixels] - 0.5) <= FRAGILE_BAND
 
 
-def _tied_depths(depth: np.ndarray) -> np.ndarray:
+def _mark_tied_depths(depth: np.ndarray) -> np.ndarray:
     """Return the mask of sorted depths so near the previous depth that rounding may swap both."""
     depth_gap = np.diff(depth, prepend=-np.inf)
     return np.asarray((depth_gap > 0) & (depth_gap < TIE_TOLERANCE * np.abs(depth)))

@@ -28,7 +28,9 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 _MIN_TRANSMITTANCE: Final = 0.01
 _TILE_PIXELS: Final = 16
 
-_PIXELS: Final = 2e-3  # distance from a circle's edge within which float32 may decide otherwise
+_EDGE_TOLERANCE_PIXELS: Final = (
+    2e-3  # distance from a circle's edge within which float32 may decide otherwise
+)
 _EQUALITY_TOLERANCE: Final = 1e-4  # relative difference of depths or opacities that counts as equal
 
 
@@ -315,7 +317,7 @@ def _bounding_radii(covariance: np.ndarray, sigmas: float) -> tuple[np.ndarray, 
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = sigmas * np.sqrt(longest)
     is_uncertain = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
-    return np.ceil(radius), np.where(is_uncertain, 1.1, _PIXELS)
+    return np.ceil(radius), np.where(is_uncertain, 1.1, _EDGE_TOLERANCE_PIXELS)
 
 
 def _cell_pixels(
@@ -325,7 +327,11 @@ def _cell_pixels(
     (radius,), (ring_radius,) = _bounding_radii(covariance[None], 2)
     boxes = [
         _tiles(mean + offset * np.array(diagonal), radius, camera)
-        for offset in ([-_PIXELS, _PIXELS] if ring_radius < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
+        for offset in (
+            [-_EDGE_TOLERANCE_PIXELS, _EDGE_TOLERANCE_PIXELS]
+            if ring_radius < 1
+            else [-_EDGE_TOLERANCE_PIXELS, _EDGE_TOLERANCE_PIXELS, -1.1, 1.1]
+        )
         for diagonal in ((1, 1), (1, -1))
     ]
     pixel_box = _tiles(mean, radius, camera)

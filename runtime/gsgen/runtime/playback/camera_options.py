@@ -17,10 +17,10 @@ from gsgen.runtime.sources.source import Source, axis_direction
 _ACCEPTED_FORMS_HINT: Final = (
     "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
 )
-_AZIMUTH: Final = 30.0
+_DEFAULT_AZIMUTH: Final = 30.0
 _ELEVATION_DEGREES: Final = 20.0
 _PANORAMA_WIDTH: Final = 2048  # pixels
-_WIDTH, _DEFAULT_HEIGHT = 1280, 720
+_DEFAULT_WIDTH, _DEFAULT_HEIGHT = 1280, 720
 
 
 FRAMING_MARGIN: Final = 1.05
@@ -144,7 +144,7 @@ class Viewpoint:
         if self.look_at is not None:
             eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
             return eye.tolist(), (target - eye).tolist()
-        azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION_DEGREES, None)
+        azimuth, elevation, radius = self.orbit or (_DEFAULT_AZIMUTH, _ELEVATION_DEGREES, None)
         middle, azimuth, up = center.tolist(), azimuth + turn, self.up or source.up
         level = Camera.orbit(middle, 1.0, azimuth=azimuth, up=up).view[2, :3].tolist()
         if radius is None:
@@ -158,12 +158,12 @@ class Viewpoint:
         if self.cameras:
             file_camera = self.cameras[number % len(self.cameras)]
             return file_camera.resized(*self._size(file_camera))
-        size = {"width": self.width or _WIDTH, "height": self.height or _DEFAULT_HEIGHT}
+        size = {"width": self.width or _DEFAULT_WIDTH, "height": self.height or _DEFAULT_HEIGHT}
         up = self.up or source.up
         if self.look_at is not None:
             eye, target = self.look_at[:3], self.look_at[3:]
             return Camera.look_at(eye, target, up=up, fov_y=self.fov, **size)
-        azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION_DEGREES, None)
+        azimuth, elevation, radius = self.orbit or (_DEFAULT_AZIMUTH, _ELEVATION_DEGREES, None)
         if radius is None:
             narrow_fov = self.fov * min(1.0, size["width"] / size["height"])
             radius = FRAMING_MARGIN * reach / math.sin(math.radians(narrow_fov) / 2)
@@ -215,7 +215,7 @@ def viewpoint(
     camera_type, _, arguments = (text or "orbit").partition(":")
     if camera_type == "orbit":
         numbers = _numbers(text or "", arguments, (0, 2, 3)) if arguments else ()
-        azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION_DEGREES)
+        azimuth, elevation = numbers[:2] or (_DEFAULT_AZIMUTH, _ELEVATION_DEGREES)
         radius = numbers[2] if len(numbers) > 2 else None
         return replace(viewpoint_base, orbit=(azimuth, elevation, radius))
     if camera_type == "look-at":

@@ -19,7 +19,7 @@ from gsgen.runtime.scene.camera import Camera
 
 _WARM_UP_FRAMES: Final = 2  # these compile kernels and grow the buffer of pairs
 _MAX_MEASURED_FRAMES: Final = 8  # most frames whose stages are measured
-_BLACK: Final = np.zeros(3)
+_BLACK_RGB: Final = np.zeros(3)
 
 
 @final
@@ -229,7 +229,7 @@ class _PlannedFrame:
         """Draw the frame; return this thread's CPU seconds until the GPU work was submitted."""
         started = time.thread_time()
         self.plan.submit(
-            self.placed, self.camera, _BLACK, meshes=self.meshes, only=only, clock=clock
+            self.placed, self.camera, _BLACK_RGB, meshes=self.meshes, only=only, clock=clock
         )
         seconds = time.thread_time() - started
         self.plan.collect()

@@ -27,7 +27,7 @@ from gsgen.runtime.sources.source import GeneratorSource, Source, Values
 if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
 
-_TRANSPARENT = (0.0, 0.0, 0.0, 0.0)
+_TRANSPARENT_RGBA = (0.0, 0.0, 0.0, 0.0)
 
 
 @final
@@ -82,7 +82,7 @@ class Player:
         *,
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
-        background: Sequence[float] = _TRANSPARENT,
+        background: Sequence[float] = _TRANSPARENT_RGBA,
         outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
@@ -293,20 +293,20 @@ class GeneratorPlayer:
         sizes: Mapping[str, int] | None = None,
         confined: bool = False,
         renderer: Renderer | None = None,
-        background: Sequence[float] = _TRANSPARENT,
+        background: Sequence[float] = _TRANSPARENT_RGBA,
         outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
     ) -> None:
         models = [Path(model), *map(Path, post)]
-        self._confined: ConfinedModels | None = None
+        self._confined_models: ConfinedModels | None = None
         if confined:
             from gsgen.sdk.binding.confined.models import ConfinedModels as Processes
 
-            self._confined = Processes(models, has_gpu=provider != "cpu")
+            self._confined_models = Processes(models, has_gpu=provider != "cpu")
         self._post_processors: list[PostProcessor] = []
         try:
-            self.source = GeneratorSource(models[0], provider, sizes, self._confined)
+            self.source = GeneratorSource(models[0], provider, sizes, self._confined_models)
             self._post_processors.extend(
-                PostProcessor(path, provider, confined=self._confined) for path in models[1:]
+                PostProcessor(path, provider, confined=self._confined_models) for path in models[1:]
             )
             self._player = Player(
                 [self.source],
@@ -389,8 +389,8 @@ class GeneratorPlayer:
             self.source.close()
         for model in self._post_processors:
             model.close()
-        if self._confined is not None:
-            self._confined.close()
+        if self._confined_models is not None:
+            self._confined_models.close()
 
     def __enter__(self) -> Self:
         return self

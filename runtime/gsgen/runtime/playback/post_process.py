@@ -58,11 +58,11 @@ class PostProcessor:
     ) -> None:
         self.name = str(path)
         self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
-        self._confined = confined
+        self._confined_models = confined
         from gsgen.sdk.binding.bound.model_facts import read_model_facts
 
         facts = read_model_facts(path, None)
-        self.manifest = _post_process(self.name, facts)
+        self.manifest = _post_process_manifest(self.name, facts)
         image = named(self.manifest.inputs, "image")
         graph_inputs = {value.name for value in facts.file.proto.graph.input}
         if not image or image[0].name not in graph_inputs:
@@ -176,7 +176,10 @@ class PostProcessor:
         from gsgen.sdk.binding import FrameSession
 
         session = FrameSession(
-            self._path, provider=self._provider, sizes=sizes, confined=self._confined or False
+            self._path,
+            provider=self._provider,
+            sizes=sizes,
+            confined=self._confined_models or False,
         )
         self._session_and_size = image_size, session
         return session
@@ -194,7 +197,7 @@ class PostProcessor:
         self.close()
 
 
-def _post_process(name: str, facts: "ModelFacts") -> PostProcessManifest:
+def _post_process_manifest(name: str, facts: "ModelFacts") -> PostProcessManifest:
     manifest = facts.manifest
     if isinstance(manifest, PostProcessManifest):
         return manifest

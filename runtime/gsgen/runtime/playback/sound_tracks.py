@@ -23,7 +23,7 @@ SOUND_SUFFIX: Final = ".wav"
 
 _MAX_BYTES: Final = 1 << 30  # of the windows of all frames
 _MAX_DENOMINATOR: Final = 1000  # largest denominator of the ratio of two sample rates
-_PCM: Final = {1: "u1", 2: "<i2", 4: "<i4"}
+_PCM_DTYPES: Final = {1: "u1", 2: "<i2", 4: "<i4"}
 _ARRAY_HINT: Final = "Compute the input yourself, and give an .npy of [frames, …]."
 
 
@@ -87,7 +87,7 @@ def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
         padded[:, 1:] = np.frombuffer(data, np.uint8).reshape(-1, 3)
         numbers, width = padded.reshape(-1).view("<i4"), 4
     else:
-        numbers = np.frombuffer(data, np.dtype(_PCM[width]))
+        numbers = np.frombuffer(data, np.dtype(_PCM_DTYPES[width]))
     middle = 128 if width == 1 else 0  # 8 bits are unsigned
     audio_amplitudes = (numbers.astype(np.float64) - middle) / 2 ** (8 * width - 1)
     return audio_amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)

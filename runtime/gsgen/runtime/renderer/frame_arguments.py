@@ -36,8 +36,8 @@ def checked(
         )
     requested = _known_outputs(outputs)
     if published:
-        _require_alone(scene)
-    return requested, _premultiply(background)
+        _require_only_weighted(scene)
+    return requested, _premultiply_background(background)
 
 
 def memory_error(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
@@ -56,7 +56,7 @@ def memory_error(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bo
     return MemoryFull(message, where=error.where, hint=hint)
 
 
-def _require_alone(scene: Scene) -> None:
+def _require_only_weighted(scene: Scene) -> None:
     """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
     is_weighted = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(is_weighted) and (scene.meshes or not all(is_weighted)):
@@ -77,7 +77,7 @@ def _known_outputs(outputs: Collection[Output]) -> frozenset[Output]:
     return requested
 
 
-def _premultiply(background: Sequence[float]) -> np.ndarray:
+def _premultiply_background(background: Sequence[float]) -> np.ndarray:
     """Return the background of a frame with its colour multiplied by alpha; raise if invalid."""
     color = np.asarray(background, np.float64)
     if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:

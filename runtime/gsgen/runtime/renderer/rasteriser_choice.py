@@ -45,7 +45,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 
 RasteriserOption = Literal["auto", "tiles", "quads"]
 
-_GAUSSIANS: Final = 1 << 17
+_SAMPLE_GAUSSIAN_COUNT: Final = 1 << 17
 _IMAGE_SIZE: Final = (1280, 720)
 _FIRST_PAIR_CAPACITY: Final = 1 << 16  # first capacity
 _WARM_UP_FRAMES: Final = 2  # frames before the measurement: drivers compile, clocks rise
@@ -54,7 +54,7 @@ _QUAD_TIME_FACTOR: Final = (
     0.8  # quads must be this much faster: tiles are more exact, and stop early
 )
 _TILE_STAGES: Final = ("bin", "group", "blend")  # the stages that quads replace
-_BLACK: Final = np.zeros(3)
+_BLACK_RGB: Final = np.zeros(3)
 _PROBE_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
 _MAX_CACHE_BYTES: Final = 1 << 16  # of the cache file
 
@@ -148,7 +148,7 @@ def measure_options(
     device: Device,
     kernels: Kernels,
     *,
-    gaussians: int = _GAUSSIANS,
+    gaussians: int = _SAMPLE_GAUSSIAN_COUNT,
     size: tuple[int, int] = _IMAGE_SIZE,
 ) -> Timings:
     """Draw a test frame with each rasteriser several times, and return the median seconds.
@@ -216,7 +216,7 @@ def _plan_with_capacity(
     while True:
         method = RasterMethod(pair_capacity=pair_capacity, rasteriser=rasteriser)
         plan = Plan(kernels, placed, image, method)
-        plan.submit(placed, camera, _BLACK, fetch=False)
+        plan.submit(placed, camera, _BLACK_RGB, fetch=False)
         counts, _ = plan.collect(fetch=False)
         if rasteriser == "quads" or counts[Counts.WANTED_PAIRS] <= pair_capacity:
             return plan
@@ -231,7 +231,7 @@ def _measure_seconds(
     gpu_times, wall_times = [], []
     for number in range(_WARM_UP_FRAMES + _MEASURED_FRAMES):
         start_time = time.perf_counter()
-        plan.submit(placed, camera, _BLACK, clock=clock, fetch=False)
+        plan.submit(placed, camera, _BLACK_RGB, clock=clock, fetch=False)
         plan.collect(fetch=False)
         wall_seconds = time.perf_counter() - start_time
         gpu_seconds = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)

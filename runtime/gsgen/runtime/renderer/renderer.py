@@ -87,7 +87,7 @@ class Renderer:
         page_rows: int | None = None,
         published: bool = False,
     ) -> None:
-        self._is_published, self._compact = published, compact
+        self._is_published, self._is_compact = published, compact
         self.device = device or Device.open()
         self.device.require()
         with self.device.translate_errors():
@@ -158,7 +158,7 @@ class Renderer:
         requested, rgba = checked(scene, outputs, background, published=self._is_published)
         with self._device_errors(scene, camera):
             if self._band_rows(scene, camera, len(requested)) >= camera.height:
-                placed, meshes = self._uploaded(scene)
+                placed, meshes = self._upload_scene(scene)
                 plan = self.plan(placed, camera, requested, meshes)
                 if self._has_steady_counts(plan):
                     images, color = self._readbacks.take(plan), rgba[:3]
@@ -253,7 +253,7 @@ class Renderer:
         """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
         requested, rgba = checked(scene, outputs, background, published=self._is_published)
         with self._device_errors(scene, camera):
-            placed, meshes = self._uploaded(scene)
+            placed, meshes = self._upload_scene(scene)
 
             def draw(band: Band) -> CountsAndImages:
                 _, counts, images = self._redraw(scene, band, rgba, requested, placed, meshes)
@@ -276,7 +276,7 @@ class Renderer:
         """Draw a whole image, or a band of it, which stays in one GPU buffer."""
         requested, rgba = checked(scene, (output,), background, published=self._is_published)
         with self._device_errors(scene, band.full_camera):
-            placed, meshes = self._uploaded(scene)
+            placed, meshes = self._upload_scene(scene)
             return self._redraw(scene, band, rgba, requested, placed, meshes, fetch=False)[:2]
 
     @contextmanager
@@ -291,9 +291,9 @@ class Renderer:
             error.with_traceback(None)
             self._readbacks.clear()
             self._pairs = min(FIRST_PAIR_CAPACITY, self._max_pairs)
-            raise memory_error(scene, camera, error, compact=self._compact) from error
+            raise memory_error(scene, camera, error, compact=self._is_compact) from error
 
-    def _uploaded(self, scene: Scene) -> tuple[list[PlacedPage], list[PlacedMesh]]:
+    def _upload_scene(self, scene: Scene) -> tuple[list[PlacedPage], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
@@ -339,7 +339,7 @@ class Renderer:
         """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
         for parts in self.late_counts.read():
             self._read_late_counts(parts)
-        placed, meshes = self._uploaded(scene)
+        placed, meshes = self._upload_scene(scene)
         plan = self.plan(placed, camera, requested, meshes)
         if self._steady_counts is None or not self._has_steady_counts(plan):
             self._steady_counts = None  # keeps the rows of other sets

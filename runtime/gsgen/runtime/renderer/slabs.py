@@ -301,7 +301,7 @@ class Slabs:
     ) -> None:
         device = kernels.device
         self._device, self._kernels, self._pages = device, kernels, pages
-        self._is_weighted = weighted
+        self._is_weighted_set = weighted
         self._kernel_stages = _CELL_KERNEL_STAGES if weighted else _SLAB_STAGES
         self._key_stages = ["keys of cells", "tally cells"] if weighted else ["keys", "tally"]
         self.capacity = capacity
@@ -320,14 +320,14 @@ class Slabs:
         self.taker_ids = self._storage("takers", VEC4 * capacity if with_ids else 0)
         self._row_origins = list[Buffer]()
         if origins is not None:
-            self._row_origins = [self._origins_of(slot, origins) for slot in range(len(pages))]
+            self._row_origins = [self._origins_buffer(slot, origins) for slot in range(len(pages))]
 
     def _storage(self, name: str, size: int) -> Buffer:
-        name = f"{name} of cells" if self._is_weighted else name
+        name = f"{name} of cells" if self._is_weighted_set else name
         self.buffers[name] = self._device.storage(name, size)
         return self.buffers[name]
 
-    def _origins_of(self, slot: int, origins: np.ndarray) -> Buffer:
+    def _origins_buffer(self, slot: int, origins: np.ndarray) -> Buffer:
         first = sum(page.capacity for page in self._pages[:slot])
         count = self._pages[slot].capacity
         buffer = self._storage(f"origins of page {slot}", 4 * count)
@@ -357,7 +357,10 @@ class Slabs:
             if tied_keys != ranked_keys:
                 before.append(key_stage)
             self._set_key_range(low, min(low + (BIN_COUNT << shift), NO_ID), shift)
-            run(before, SlabState(continues=True, tied_keys=tied_keys, weighted=self._is_weighted))
+            run(
+                before,
+                SlabState(continues=True, tied_keys=tied_keys, weighted=self._is_weighted_set),
+            )
             before[:], ranked_keys = [tally_stage], tied_keys  # the keys stay the same
             return self._device.read(self.key_counts, np.uint32, BIN_COUNT)
 
@@ -395,7 +398,7 @@ class Slabs:
             resumes_cell=is_in_cell
             and number > 0
             and ranges[number - 1].tied_keys == slab_range.tied_keys,
-            weighted=self._is_weighted,
+            weighted=self._is_weighted_set,
         )
 
     def key_steps(

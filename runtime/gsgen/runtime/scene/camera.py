@@ -22,7 +22,7 @@ DEFAULT_DILATION = 0.3
 _LARGEST_SIDE = 16_384
 _ROTATION_TOLERANCE = 1e-3
 _UP_DIRECTION = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
-_ROUNDING = 1e-6  # relative tolerance: a panorama may be wider than a turn by this share
+_FULL_TURN_TOLERANCE = 1e-6  # relative tolerance: a panorama may be wider than a turn by this share
 
 Kind = Literal["pinhole", "orthographic", "panorama"]
 """The projection of a camera."""
@@ -80,7 +80,7 @@ class Camera:
         for name in ("cx", "cy"):
             _require_number(name, getattr(self, name))
         for name in ("width", "height"):
-            _require_side(name, getattr(self, name))
+            _require_image_side(name, getattr(self, name))
         if self.kind not in get_args(Kind):
             raise SceneInvalid(
                 f"is {self.kind!r}, expected pinhole, orthographic or panorama", where="camera.kind"
@@ -126,7 +126,7 @@ class Camera:
         """
         if not 0 < fov_y < 180:
             raise SceneInvalid(f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y")
-        _require_side("height", height)
+        _require_image_side("height", height)
         position, target_position = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         if not np.linalg.norm(target_position - position) > 0:
             raise SceneInvalid(
@@ -235,9 +235,9 @@ class Camera:
                 )
         x_scale = math.radians(longitudes[1] - longitudes[0])
         y_scale = math.radians(latitudes[1] - latitudes[0])
-        _require_side("width", width)
+        _require_image_side("width", width)
         panorama_height = max(1, round(width * y_scale / x_scale)) if height is None else height
-        _require_side("height", panorama_height)
+        _require_image_side("height", panorama_height)
         fx, fy = width / x_scale, panorama_height / y_scale
         up_vector = _direction("up", up)
         forward_direction = _direction("toward", toward)
@@ -428,7 +428,7 @@ def _direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]
 
 def _require_sphere(camera: Camera) -> None:
     """Raise if a panorama camera shows a direction twice, or a latitude beyond a pole."""
-    if camera.width > camera.period * (1 + _ROUNDING):
+    if camera.width > camera.period * (1 + _FULL_TURN_TOLERANCE):
         raise SceneInvalid(
             f"is {camera.fx} pixels per radian, {camera.period:.6g} per turn, but the image is "
             f"{camera.width} wide",
@@ -436,7 +436,7 @@ def _require_sphere(camera: Camera) -> None:
             hint="A full panorama has fx = width / 2π, a part of one has more.",
         )
     top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
-    if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
+    if max(-top, bottom) > math.pi / 2 * (1 + _FULL_TURN_TOLERANCE):
         raise SceneInvalid(
             f"is such that the image shows latitudes from {math.degrees(-bottom):.6g} to "
             f"{math.degrees(-top):.6g} degrees, expected −90 to 90 at most",
@@ -445,7 +445,7 @@ def _require_sphere(camera: Camera) -> None:
         )
 
 
-def _require_side(name: str, value: object) -> None:
+def _require_image_side(name: str, value: object) -> None:
     if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
         raise SceneInvalid(
             f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}", where=f"camera.{name}"

@@ -65,10 +65,10 @@ class MeshData:
         texture: UInt8[np.ndarray, "h w c"] | None = None,
         color_space: Literal["srgb", "linear"] = "srgb",
     ) -> None:
-        self.vertices = _floats(vertices, "vertices", (3,))
+        self.vertices = _float_array(vertices, "vertices", (3,))
         self.faces = _faces(faces, len(self.vertices))
         self.texture = None if texture is None else _texture(texture)
-        self.uv = None if uv is None else _floats(uv, "uv", (2,), len(self.vertices))
+        self.uv = None if uv is None else _float_array(uv, "uv", (2,), len(self.vertices))
         if (self.uv is None) != (self.texture is None):
             missing_field = "uv" if self.uv is None else "texture"
             raise SceneInvalid(
@@ -78,7 +78,7 @@ class MeshData:
             colors = np.full((len(self.vertices), 3), _DEFAULT_GREY if texture is None else 1.0)
         elif np.asarray(colors).dtype == np.uint8:
             colors = np.asarray(colors) / 255
-        self.colors = _floats(colors, "colors", (3, 4), len(self.vertices))[:, :3]
+        self.colors = _float_array(colors, "colors", (3, 4), len(self.vertices))[:, :3]
         _require_one_of(color_space, ("srgb", "linear"), "color_space")
         self.color_space = color_space
         self.version = 0
@@ -89,7 +89,7 @@ class MeshData:
         Raises:
             SceneInvalid: The number of vertices changed, or one is not finite.
         """
-        self.vertices = _floats(vertices, "vertices", (3,), len(self.vertices))
+        self.vertices = _float_array(vertices, "vertices", (3,), len(self.vertices))
         self.version += 1
 
     def __len__(self) -> int:
@@ -131,7 +131,7 @@ def _require_one_of(value: str, allowed_values: tuple[str, ...], where: str) -> 
         raise SceneInvalid(f"is {value!r}, expected {' or '.join(allowed_values)}", where=where)
 
 
-def _floats(
+def _float_array(
     array: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
 ) -> Float32[np.ndarray, "n c"]:
     """Convert rows of finite vertex attributes to float32 in C order."""

@@ -92,7 +92,7 @@ class SplatPool:
         self.low: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
         self.high: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
         self._free_slots = list(range(self.slots))  # a heap: the lowest slot is taken first
-        self._slots_of: dict[int, list[int]] = {}
+        self._slots_by_tile: dict[int, list[int]] = {}
         self._slot_writes: list[SlotWrite] = []
 
     @property
@@ -108,7 +108,7 @@ class SplatPool:
     @property
     def tiles(self) -> tuple[int, ...]:
         """The keys of all streamed tiles in the splat pool, in ascending order."""
-        return tuple(sorted(self._slots_of))
+        return tuple(sorted(self._slots_by_tile))
 
     def __len__(self) -> int:
         return self.slots * self.slot_rows
@@ -136,7 +136,7 @@ class SplatPool:
             CapacityExceeded: The free slots do not suffice.
             SceneInvalid: The tile is there already, or the arrays have other shapes.
         """
-        if tile in self._slots_of:
+        if tile in self._slots_by_tile:
             raise SceneInvalid("the tile is in the splat pool already", where=f"tile {tile}")
         self._require_shapes(tile, rows, appearance)
         needed_slots = -(-max(len(rows), reserved_rows) // self.slot_rows)
@@ -147,7 +147,7 @@ class SplatPool:
                 hint="Evict tiles first, or make the pool larger.",
             )
         slots = [heapq.heappop(self._free_slots) for _ in range(needed_slots)]
-        self._slots_of[tile] = slots
+        self._slots_by_tile[tile] = slots
         self._write(slots, rows, appearance, origin)
 
     def rewrite(
@@ -246,7 +246,7 @@ class SplatPool:
             starts = self.slot_rows * np.arange(len(staged_slots))
             self.live[drawn] = 0
             self.live[staged_slots] = np.clip(count - starts, 0, self.slot_rows)
-            self._slots_of[tile] = staged_slots + drawn
+            self._slots_by_tile[tile] = staged_slots + drawn
 
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
         if rows.shape != (len(rows), layout.ROW_LENGTH) or appearance.shape != (
@@ -298,9 +298,9 @@ class SplatPool:
         self._slot_writes = [write for write in self._slot_writes if write.first not in first_rows]
 
     def _slots_held_by_tile(self, tile: int) -> list[int]:
-        if tile not in self._slots_of:
+        if tile not in self._slots_by_tile:
             raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
-        return self._slots_of[tile]
+        return self._slots_by_tile[tile]
 
     def evict(self, tile: int) -> None:
         """Free the slots that a tile occupies in the splat pool (GPU memory for streamed tiles).
@@ -309,7 +309,7 @@ class SplatPool:
             SceneInvalid: The tile is not in the pool.
         """
         slots = self._slots_held_by_tile(tile)
-        del self._slots_of[tile]
+        del self._slots_by_tile[tile]
         self._drop_slot_writes(slots)
         for slot in slots:
             self.live[slot] = self.fade[slot] = 0
@@ -337,7 +337,7 @@ class SplatPool:
             IndexError: No tile holds the row.
         """
         slot, offset = divmod(row, self.slot_rows)
-        for tile, slots in self._slots_of.items():
+        for tile, slots in self._slots_by_tile.items():
             if slot in slots and offset < self.live[slot]:
                 return tile, slots.index(slot) * self.slot_rows + offset
         raise IndexError(f"no tile holds row {row} of the splat pool")

@@ -26,7 +26,7 @@ _SPREAD_QUANTILES: Final = (
     90.0,
 )  # percent of the centres between which the object's spread is measured
 _MIN_CUBE_SIDE: Final = 1 / 16  # least side of a cube, as a share of the spread
-_SPACINGS: Final = 2.0  # side of a cube in mean distances of evenly spread Gaussians
+_CUBE_SIDE_SPACINGS: Final = 2.0  # side of a cube in mean distances of evenly spread Gaussians
 _MIN_GROUP_SHARE: Final = 0.02  # of all Gaussians, in a group that is part of the object
 _LINK_SIGMAS: Final = 2.0  # a Gaussian occupies the cubes within this many standard deviations
 _MAX_CUBES_PER_GAUSSIAN: Final = (
@@ -56,7 +56,7 @@ def box_around(data: SplatData) -> Box | None:
     centers = chosen[:, layout.POSITION]
     variances = chosen[:, layout.VARIANCES]
     sigmas = np.sqrt(np.nan_to_num(np.maximum(variances, 0), nan=0.0, posinf=0.0))
-    retained = ~_floaters(centers, sigmas)
+    retained = ~_is_floater(centers, sigmas)
     # The edge of a Gaussian is where its alpha falls below what the renderer draws.
     alpha = np.clip(chosen[:, layout.OPACITY], _VISIBLE_ALPHA, 1.0)
     radii = sigmas * np.sqrt(2 * np.log(alpha / _VISIBLE_ALPHA))[:, None]
@@ -73,7 +73,7 @@ def union_of_boxes(boxes: Sequence[Box | None]) -> Box | None:
     return np.min(lower_corners, axis=0), np.max(upper_corners, axis=0)
 
 
-def _floaters(
+def _is_floater(
     centers: Float64[np.ndarray, "n 3"], sigmas: Float64[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Return which Gaussians lie apart from the others, in groups of less than 2 %."""
@@ -83,7 +83,7 @@ def _floaters(
     step = -(-len(centers) // _MAX_GROUPED_GAUSSIANS)
     low, high = np.percentile(centers[::step], _SPREAD_QUANTILES, axis=0)
     spread = float((high - low + 2 * np.median(sigmas[::step], axis=0)).max())
-    side = spread * max(_MIN_CUBE_SIDE, _SPACINGS * len(none[::step]) ** (-1 / 3))
+    side = spread * max(_MIN_CUBE_SIDE, _CUBE_SIDE_SPACINGS * len(none[::step]) ** (-1 / 3))
     if not 0 < side < np.inf:
         return none
     # 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.

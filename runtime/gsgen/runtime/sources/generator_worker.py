@@ -117,7 +117,7 @@ class GeneratorWorker:
             message = "the session was closed, expected an open one"
             raise SessionClosed(message, where=str(self.session.path))
         self._stop.reset()
-        return self._worker.submit(self._compute, camera, values)
+        return self._worker.submit(self._compute_delta, camera, values)
 
     def hold_frames(self, frames: int) -> None:
         """Keep the outputs of some frames before the drawn one unchanged, from the next run on."""
@@ -136,17 +136,21 @@ class GeneratorWorker:
     def _discard_copies(self) -> None:
         """Discard the copied outputs, so that all outputs of the next frame count as changed."""
         self._buffers = tuple(_OutputBuffer() for _ in self._names)
-        self._count = -1
+        self._splat_count = -1
 
-    def _compute(self, camera: "Camera | None", values: Mapping[str, object]) -> FrameDelta:
+    def _compute_delta(self, camera: "Camera | None", values: Mapping[str, object]) -> FrameDelta:
         started = perf_counter()
         try:
             changed = self.session.update(values, camera=camera)
-            if self._count >= 0 and changed <= self._unused_inputs:
-                return FrameDelta(count=self._count)
+            if self._splat_count >= 0 and changed <= self._unused_inputs:
+                return FrameDelta(count=self._splat_count)
             frame = self.session.run()
-            self._count = frame.count
-            live_count = (self._count, self._count, None)  # cells have no count of their own
+            self._splat_count = frame.count
+            live_count = (
+                self._splat_count,
+                self._splat_count,
+                None,
+            )  # cells have no count of their own
             constant = self.session.constant_outputs
             rows, appearance, *cells = (
                 buffer.take(
@@ -163,7 +167,7 @@ class GeneratorWorker:
             rows=rows,
             appearance=appearance,
             cells=cells[0] if cells else None,
-            count=self._count,
+            count=self._splat_count,
             seconds=perf_counter() - started,
         )
 

@@ -43,7 +43,7 @@ _MAX_HEADER_BYTES: Final = (
 _STL_HEADER: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50
 _GLB_HEADER: Final = struct.Struct("<4sIII4s")
-_WHITE: Final = np.ones(3)
+_WHITE_RGB: Final = np.ones(3)
 
 _GltfObject: TypeAlias = dict[str, Any]
 
@@ -106,7 +106,7 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
         raise SceneUnreadable(message, where=str(file), hint=error.hint) from error
     except Exception as error:  # a malformed file can raise any error in trimesh
         raise SceneUnreadable(
-            f"cannot be read as {kind.upper()}: {type(error).__name__}: {_shorten(error)}",
+            f"cannot be read as {kind.upper()}: {type(error).__name__}: {_shorten_error(error)}",
             where=str(file),
             hint="Copy or export the file again.",
         ) from error
@@ -125,7 +125,7 @@ def _is_binary_stl(header: bytes, size: int | None = None) -> bool:
     return count > 0 and _STL_HEADER.size + _STL_FACE * count == (size or len(header))
 
 
-def _shorten(error: Exception) -> str:
+def _shorten_error(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text if len(text) <= 120 else text[:119] + "…"
 
@@ -258,18 +258,18 @@ def _mesh_data(
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
         face_colors = np.asarray(visual.face_colors)[:, :3] / 255.0
-        surface = _SurfaceMaterial(np.repeat(face_colors, 3, axis=0), _WHITE)
+        surface = _SurfaceMaterial(np.repeat(face_colors, 3, axis=0), _WHITE_RGB)
     else:
         surface = _surface(geometry, has_no_materials=has_no_materials)
     is_colored = (
         surface.colors is not None
         or surface.texture is not None
-        or surface.color_factor is not _WHITE
+        or surface.color_factor is not _WHITE_RGB
     )
     space: Literal["srgb", "linear"] = "srgb"
     colors = surface.colors
     if is_colored:
-        vertex_colors = np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
+        vertex_colors = np.broadcast_to(_WHITE_RGB, vertices.shape) if colors is None else colors
         colors = vertex_colors * surface.color_factor
         if is_gltf and surface.texture is None:
             space = "linear"
@@ -292,11 +292,11 @@ def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface
         colors = vertex_colors / (255.0 if vertex_colors.dtype.kind in "iu" else 1.0)
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
-        return _SurfaceMaterial(colors, _WHITE)
+        return _SurfaceMaterial(colors, _WHITE_RGB)
     rgba = getattr(material, "baseColorFactor", None)
     if rgba is None:
         rgba = getattr(material, "diffuse", None)
-    color_factor = _WHITE if rgba is None else np.asarray(rgba)[:3] / 255.0
+    color_factor = _WHITE_RGB if rgba is None else np.asarray(rgba)[:3] / 255.0
     image = getattr(material, "baseColorTexture", None)
     image = getattr(material, "image", None) if image is None else image
     uv = getattr(visual, "uv", None)

@@ -60,16 +60,16 @@ class PlacedSource(Source):
         where: str = "values",
     ) -> None:
         self._wrapped_source, self._settings = inner, settings or DrawSettings()
-        self._transform = np.array(transform, np.float64)
+        self._placement_transform = np.array(transform, np.float64)
         self._fixed_values = _values_by_name(inner, values or {}, where)
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._settings.antialias or inner.antialias
         self.weighted = None if self._settings.sorted else inner.weighted
         self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed_values)
         self.splats(None, None)  # invalid settings raise here
-        self.meshes = tuple(mesh.placed(self._transform) for mesh in inner.meshes)
+        self.meshes = tuple(mesh.placed(self._placement_transform) for mesh in inner.meshes)
         self.pools = tuple(self._place_pool(pooled_set) for pooled_set in inner.pools)
-        up = _rotation(self._transform) @ np.array(inner.up)
+        up = _rotation(self._placement_transform) @ np.array(inner.up)
         self.up = (float(up[0]), float(up[1]), float(up[2]))
         if self._fixed_values:
             self.update(None, {})
@@ -84,7 +84,7 @@ class PlacedSource(Source):
             raise SceneInvalid("a tileset cannot be clipped", where="clip")
         return replace(
             pooled_set,
-            transform=self._transform @ pooled_set.transform,
+            transform=self._placement_transform @ pooled_set.transform,
             opacity_scale=self._settings.opacity_scale,
             degree=self._settings.sh_degree,
             antialias=self.antialias,
@@ -127,7 +127,7 @@ class PlacedSource(Source):
         degree = self._settings.sh_degree if sh_degree is None else sh_degree
         return SplatSet(
             self.data,
-            self._transform,
+            self._placement_transform,
             opacity_scale=self._settings.opacity_scale,
             degree=degree,
             antialias=antialias or self.antialias,
@@ -137,7 +137,7 @@ class PlacedSource(Source):
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Begin to compute a frame; the camera is converted to the local space of the Gaussians."""
-        local = None if camera is None else local_camera(camera, self._transform)
+        local = None if camera is None else local_camera(camera, self._placement_transform)
         self._wrapped_source.start(local, {**values, **self._fixed_values}, frame)
 
     @property
@@ -172,8 +172,8 @@ class PlacedSource(Source):
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the world-space centre of a box around most Gaussians, and half the diagonal."""
         center, reach = self._wrapped_source.extent()
-        linear, offset = self._transform[:3, :3], self._transform[:3, 3]
-        return linear @ center + offset, reach * _scale(linear)
+        linear, offset = self._placement_transform[:3, :3], self._placement_transform[:3, 3]
+        return linear @ center + offset, reach * _uniform_scale(linear)
 
     def close(self) -> None:
         """Release the file or model that supplies the Gaussians."""
@@ -192,7 +192,7 @@ def _values_by_name(source: Source, values: Values, where: str) -> Mapping[str, 
     return by_name
 
 
-def _scale(linear: Float[np.ndarray, "3 3"]) -> float:
+def _uniform_scale(linear: Float[np.ndarray, "3 3"]) -> float:
     """Return the geometric mean of a matrix's scales along the axes."""
     return float(np.cbrt(abs(np.linalg.det(linear))))
 
@@ -214,7 +214,7 @@ def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
     view = np.eye(4)
     view[:3, :3] = camera.view[:3, :3] @ rotation
     view[:3, 3] = -view[:3, :3] @ np.linalg.solve(linear, camera.eye - offset)
-    scale = _scale(linear)
+    scale = _uniform_scale(linear)
     zoom = scale if camera.kind == "orthographic" else 1.0  # its focal length is pixels per unit
     return replace(
         camera, view=view, near=camera.near / scale, fx=camera.fx * zoom, fy=camera.fy * zoom

@@ -145,7 +145,7 @@ class Fields:
         except ValueError:
             array = np.array(None)
         if array.dtype.kind not in "ifb":
-            refuse(f"is {_shorten(value)}, expected numbers", self.location(name))
+            refuse(f"is {_shorten_value(value)}, expected numbers", self.location(name))
         return array
 
     def nested_fields(self, name: str) -> "Fields":
@@ -164,7 +164,7 @@ class Fields:
             where = f"{self.location(name)}[{index}]"
             document = {"path": entry} if isinstance(entry, str) else entry
             if not isinstance(document, dict):
-                refuse(f"is {_shorten(entry)}, expected an object or a path", where)
+                refuse(f"is {_shorten_value(entry)}, expected an object or a path", where)
             yield Fields(document, where)
 
     def close(self) -> None:
@@ -176,9 +176,11 @@ class Fields:
     def _raise_field_mismatch(self, name: str, expected: str) -> NoReturn:
         if name not in self._document:
             refuse(f"is missing, expected {expected}", self.location(name))
-        refuse(f"is {_shorten(self._document[name])}, expected {expected}", self.location(name))
+        refuse(
+            f"is {_shorten_value(self._document[name])}, expected {expected}", self.location(name)
+        )
 
 
-def _shorten(value: object) -> str:
+def _shorten_value(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:59] + "…"

@@ -220,7 +220,7 @@ def _document(path: Path) -> Mapping[str, object]:
     except (OSError, UnicodeDecodeError) as error:
         raise SceneUnreadable(f"cannot be read: {error}", where=str(path)) from error
     try:
-        document = json.loads(text, object_pairs_hook=_without_duplicates)
+        document = json.loads(text, object_pairs_hook=_reject_duplicates)
     except (ValueError, RecursionError) as error:
         raise SceneUnreadable(f"is not valid JSON: {error}", where=str(path)) from error
     if not isinstance(document, dict):
@@ -228,7 +228,7 @@ def _document(path: Path) -> Mapping[str, object]:
     return document
 
 
-def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
+def _reject_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
     members = dict(pairs)
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
@@ -241,7 +241,7 @@ def _model(fields: Fields, folder: Path) -> SceneModel:
     opacity_scale = fields.number("opacity_scale", low=0)
     model = SceneModel(
         path=folder / fields.required_text("path"),
-        transform=_transform(fields),
+        transform=_read_transform(fields),
         settings=DrawSettings(
             opacity_scale=1.0 if opacity_scale is None else opacity_scale,
             sh_degree=fields.integer("sh_degree", low=0, high=3),
@@ -259,12 +259,12 @@ def _model(fields: Fields, folder: Path) -> SceneModel:
 def _mesh(fields: Fields, folder: Path) -> SceneMesh:
     path = folder / fields.required_text("path")
     shading = fields.choice("shading", SHADINGS)
-    part = SceneMesh(path, _transform(fields), shading, fields.where)
+    part = SceneMesh(path, _read_transform(fields), shading, fields.where)
     fields.close()
     return part
 
 
-def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
+def _read_transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
     """Return the transform of an object in a scene file, by default translate × rotate × scale."""
     matrix = fields.array("transform", (4, 4))
     steps = [name for name in ("translate", "rotate", "scale") if fields.has_field(name)]

@@ -29,7 +29,7 @@ class SceneSource(StaticSource):
     def __init__(
         self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
     ) -> None:
-        self._set = splat_set
+        self._splat_set = splat_set
         self.name, self.data = "scene", splat_set.data
         self.antialias = splat_set.antialias or "classic"
         self.color_space, self.weighted = color_space, splat_set.weighted
@@ -38,13 +38,13 @@ class SceneSource(StaticSource):
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
         """Return the splat set with the given SH degree and antialiasing."""
-        degree = self._set.degree if sh_degree is None else sh_degree
-        return replace(self._set, degree=degree, antialias=antialias or self.antialias)
+        degree = self._splat_set.degree if sh_degree is None else sh_degree
+        return replace(self._splat_set, degree=degree, antialias=antialias or self.antialias)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the world-space centre of a box around most Gaussians, and half the diagonal."""
         center, reach = super().extent()
-        linear, offset = self._set.transform[:3, :3], self._set.transform[:3, 3]
+        linear, offset = self._splat_set.transform[:3, :3], self._splat_set.transform[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))
         return linear @ center + offset, reach * scale
 

@@ -17,8 +17,8 @@ from gsgen.runtime.sources.source import Source, StillFrameSource, Values
 
 _FRAME_INPUT: Final = "frame"
 _SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".npz")
-_PATTERN: Final = re.compile(r"%(0?\d*)d")
-_NUMBERED: Final = re.compile(r"\d+$")
+_PRINTF_NUMBER_PATTERN: Final = re.compile(r"%(0?\d*)d")
+_TRAILING_NUMBER_PATTERN: Final = re.compile(r"\d+$")
 
 
 def sequence_files(path: Path) -> list[Path]:
@@ -33,7 +33,7 @@ def sequence_files(path: Path) -> list[Path]:
         suffixes = {file.suffix.lower() for file in numbered}
         files = numbered if len(suffixes) == 1 and len(numbered) > 1 else []
         return sorted(files, key=lambda file: natural_key(file.name))
-    match = _PATTERN.search(path.name)
+    match = _PRINTF_NUMBER_PATTERN.search(path.name)
     if match is None or path.exists() or not path.parent.is_dir():
         return []
     before, after = path.name[: match.start()], path.name[match.end() :]
@@ -47,7 +47,7 @@ def sequence_files(path: Path) -> list[Path]:
 
 def _is_frame(file: Path) -> bool:
     is_splat_file = file.suffix.lower() in _SUFFIXES and not file.name.startswith(".")
-    return is_splat_file and _NUMBERED.search(file.stem) is not None
+    return is_splat_file and _TRAILING_NUMBER_PATTERN.search(file.stem) is not None
 
 
 @final
@@ -78,8 +78,8 @@ class SequenceSource(Source):
             self._require_equal_kind(file, frame, first)
             largest = max(largest, frame.data.count)
             channels = max(channels, frame.data.appearance.shape[1])
-        self._shape, self._number, self._loaded = (largest, channels), 0, 0
-        rows, appearance = self._padded(first.data)
+        self._shape, self._number, self._loaded_number = (largest, channels), 0, 0
+        rows, appearance = self._pad_rows(first.data)
         self.data = SplatData(rows, appearance, first.data.space, count=first.data.count)
 
     def _require_equal_kind(self, file: Path, frame: Source, first: Source) -> None:
@@ -93,7 +93,7 @@ class SequenceSource(Source):
                 hint="Frames of a sequence have one kind of colours and one antialiasing.",
             )
 
-    def _padded(self, data: SplatData) -> tuple[np.ndarray, np.ndarray]:
+    def _pad_rows(self, data: SplatData) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows and colours of a frame with the size of the largest, in float32."""
         count, channels = self._shape
         rows = np.zeros((count, data.rows.shape[1]), np.float32)
@@ -114,12 +114,12 @@ class SequenceSource(Source):
 
     def finish(self) -> None:
         """Read the file of the chosen frame, unless its Gaussians are the current ones."""
-        if self._number == self._loaded:
+        if self._number == self._loaded_number:
             return
         data = StillFrameSource(self.files[self._number]).data
-        rows, appearance = self._padded(data)
+        rows, appearance = self._pad_rows(data)
         self.data.update(rows, appearance, data.count)
-        self._loaded = self._number
+        self._loaded_number = self._number
 
     def abandon(self) -> None:
         """Return at once: a file is read in :meth:`finish` only."""

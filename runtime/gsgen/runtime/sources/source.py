@@ -202,7 +202,7 @@ class Source(ABC):
         that are placed by it stand still while Gaussians move. See :mod:`.framing`.
         """
         if self._extent is None:
-            self._extent = _extent_of(box_around(self.data))
+            self._extent = _box_extent(box_around(self.data))
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
@@ -213,7 +213,7 @@ class Source(ABC):
             state = (self.data.rows_version, self.data.count)
             if state not in boxes:
                 boxes[state] = box_around(self.data)
-        self._extent = _extent_of(union_of_boxes(list(boxes.values())))
+        self._extent = _box_extent(union_of_boxes(list(boxes.values())))
 
     @abstractmethod
     def close(self) -> None:
@@ -226,7 +226,7 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
     return exact_matches or [spec for spec in inputs if spec.role == word]
 
 
-def _extent_of(box: Box | None) -> tuple[Center, float]:
+def _box_extent(box: Box | None) -> tuple[Center, float]:
     """Return the centre of a box and half its diagonal; 1 around the origin without a box."""
     if box is None:
         return np.zeros(3), 1.0
@@ -305,7 +305,7 @@ class GeneratorSource(Source):
         self.inputs = manifest.inputs
         appearance = manifest.outputs.appearance
         assert appearance is not None  # the worker requires both outputs
-        self._space, self.color_space = appearance.space, appearance.color_space
+        self._appearance_space, self.color_space = appearance.space, appearance.color_space
         self._pending_frame: tuple[int, Future[FrameDelta]] | None = None
         try:
             self.update(None, {})
@@ -363,7 +363,7 @@ class GeneratorSource(Source):
         self.data = SplatData(
             delta.rows,
             delta.appearance,
-            self._space,
+            self._appearance_space,
             count=delta.count,
             cells=delta.cells,
             per_cell=cells.per_cell if cells else 1,

@@ -14,7 +14,7 @@ from gsgen.runtime.scene.camera import Camera
 
 Vector = Float[np.ndarray, "3"]
 
-_POLE: Final = math.radians(1.0)  # least angle between the view and straight up or down
+_MIN_POLE_ANGLE: Final = math.radians(1.0)  # least angle between the view and straight up or down
 _RADIANS_PER_PIXEL: Final = math.radians(0.3)  # per dragged pixel
 _ZOOM_PER_WHEEL_UNIT: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
 _MOVE_SPEED: Final = 0.5  # reaches per second
@@ -46,14 +46,14 @@ class Controls:
     ) -> None:
         self._initial_camera = initial_camera
         self._up_direction = np.asarray(up, np.float64) / np.linalg.norm(up)
-        self._center, self._scene_radius = np.asarray(center, np.float64), scene_radius
+        self._scene_center, self._scene_radius = np.asarray(center, np.float64), scene_radius
         self.reset()
 
     def reset(self) -> None:
         """Reset the camera to its first position and direction."""
         self._rotation = self._initial_camera.view[:3, :3].copy()  # world → camera
         self._zoom_factor = 1.0
-        center_depth = float(self._rotation[2] @ (self._center - self._initial_camera.eye))
+        center_depth = float(self._rotation[2] @ (self._scene_center - self._initial_camera.eye))
         self._distance = (
             center_depth
             if center_depth > _MIN_DISTANCE * self._scene_radius
@@ -93,20 +93,24 @@ class Controls:
         """Turn the camera about its pivot by a mouse drag, in pixels."""
         if self._initial_camera.kind == "panorama":
             return self.look(right, down)
-        self._rotate(right * _RADIANS_PER_PIXEL, down * _RADIANS_PER_PIXEL)
+        self._rotate_view(right * _RADIANS_PER_PIXEL, down * _RADIANS_PER_PIXEL)
 
     def look(self, right: float, down: float) -> None:
         """Turn the camera in place by a mouse drag, in pixels."""
         eye = self.eye
-        self._rotate(-right * _RADIANS_PER_PIXEL, -down * _RADIANS_PER_PIXEL)
+        self._rotate_view(-right * _RADIANS_PER_PIXEL, -down * _RADIANS_PER_PIXEL)
         self.pivot = eye + self._distance * self._rotation[2]
 
-    def _rotate(self, yaw: float, pitch: float) -> None:
+    def _rotate_view(self, yaw: float, pitch: float) -> None:
         """Rotate the camera about the upward direction, then about its horizontal axis."""
         rotation = self._rotation @ _rotation(self._up_direction, yaw)
         # The angle to the upward direction avoids the poles, where the view would flip.
         angle = math.acos(float(np.clip(rotation[2] @ self._up_direction, -1, 1)))
-        target = float(np.clip(angle + pitch, min(angle, _POLE), max(angle, math.pi - _POLE)))
+        target = float(
+            np.clip(
+                angle + pitch, min(angle, _MIN_POLE_ANGLE), max(angle, math.pi - _MIN_POLE_ANGLE)
+            )
+        )
         rotation = rotation @ _rotation(rotation[0], target - angle)
         # The matrix is orthogonalised, so that rounding errors of many drags do not add up.
         left, _, right = np.linalg.svd(rotation)
@@ -149,7 +153,7 @@ class Controls:
         if not distance > _MIN_DISTANCE * self._scene_radius:
             return
         if np.linalg.norm(np.cross(direction_to_point / distance, self._up_direction)) > math.sin(
-            _POLE
+            _MIN_POLE_ANGLE
         ):
             self._rotation = look_at(eye, np.asarray(point, np.float64), self._up_direction)[:3, :3]
         self._distance, self.pivot = distance, np.asarray(point, np.float64)
@@ -157,7 +161,7 @@ class Controls:
     def frame(self) -> None:
         """Move the camera until the whole scene is in view, without turning it."""
         initial_camera = self._initial_camera
-        self.pivot, self._zoom_factor = self._center.copy(), 1.0
+        self.pivot, self._zoom_factor = self._scene_center.copy(), 1.0
         if initial_camera.kind == "pinhole":
             half_fov = math.atan(
                 min(

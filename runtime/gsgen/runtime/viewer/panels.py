@@ -16,15 +16,15 @@ _LINE_HEIGHT: Final = 1.45  # text sizes
 _MARGIN_PIXELS: Final = 10
 _CORNER_RADIUS: Final = 6
 _ASCII_REPLACEMENTS: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
-_BACKGROUND: Final = (16, 18, 22, 190)
-_WHITE: Final = (236, 238, 242, 255)
+_BACKGROUND_RGBA: Final = (16, 18, 22, 190)
+_WHITE_RGBA: Final = (236, 238, 242, 255)
 _GREY_RGBA: Final = (150, 156, 166, 255)
 _ORANGE_RGBA: Final = (255, 176, 64, 255)
 
 
 def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.ndarray, "h w 4"]:
     """Draw a panel of two columns of text; ``ratio`` is surface pixels per logical pixel."""
-    rows = [(_printable(left), _printable(right)) for left, right in rows]
+    rows = [(_printable_text(left), _printable_text(right)) for left, right in rows]
     font, size = _font(round(_TEXT_SIZE_PIXELS * ratio)), _TEXT_SIZE_PIXELS * ratio
     margin, line = round(_MARGIN_PIXELS * ratio), round(size * _LINE_HEIGHT)
     first = max((font.getlength(left) for left, right in rows if right), default=0.0)
@@ -36,9 +36,9 @@ def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.n
     image, draw = _blank_panel(width, line * len(rows) + 2 * margin - round(size * 0.4), ratio)
     for number, (left, right) in enumerate(rows):
         top = margin + number * line - round(size * 0.1)
-        draw.text((margin, top), left, _ORANGE_RGBA if right else _WHITE, font)
-        draw.text((margin + column, top), right, _WHITE, font)
-    return _premultiplied(image)
+        draw.text((margin, top), left, _ORANGE_RGBA if right else _WHITE_RGBA, font)
+        draw.text((margin + column, top), right, _WHITE_RGBA, font)
+    return _premultiply_alpha(image)
 
 
 @final
@@ -93,14 +93,14 @@ class Slider:
         draw.line((low, middle, value, middle), _ORANGE_RGBA, max(1, round(3 * ratio)))
         draw.ellipse(
             (value - knob_radius, middle - knob_radius, value + knob_radius, middle + knob_radius),
-            _WHITE,
+            _WHITE_RGBA,
         )
         left, half_width = 12 * ratio, 6 * ratio
         if playing:
             for start in (left, left + half_width):
                 draw.rectangle(
                     (start, middle - half_width, start + half_width / 2, middle + half_width),
-                    _WHITE,
+                    _WHITE_RGBA,
                 )
         else:
             corners = [
@@ -108,13 +108,15 @@ class Slider:
                 (left, middle + half_width),
                 (left + 1.6 * half_width, middle),
             ]
-            draw.polygon(corners, _WHITE)
+            draw.polygon(corners, _WHITE_RGBA)
         font = _font(round(_TEXT_SIZE_PIXELS * ratio * 0.9))
-        draw.text((high + 14 * ratio, middle), _printable(label), _WHITE, font, anchor="lm")
-        return _premultiplied(image)
+        draw.text(
+            (high + 14 * ratio, middle), _printable_text(label), _WHITE_RGBA, font, anchor="lm"
+        )
+        return _premultiply_alpha(image)
 
 
-def _printable(text: str) -> str:
+def _printable_text(text: str) -> str:
     """Replace characters that Pillow's built-in font lacks."""
     return text.translate(_ASCII_REPLACEMENTS).encode("latin-1", "replace").decode("latin-1")
 
@@ -128,11 +130,11 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 def _blank_panel(width: int, height: int, ratio: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     image = Image.new("RGBA", (width, height))
     draw = ImageDraw.Draw(image)
-    draw.rounded_rectangle((0, 0, width - 1, height - 1), _CORNER_RADIUS * ratio, _BACKGROUND)
+    draw.rounded_rectangle((0, 0, width - 1, height - 1), _CORNER_RADIUS * ratio, _BACKGROUND_RGBA)
     return image, draw
 
 
-def _premultiplied(image: Image.Image) -> UInt8[np.ndarray, "h w 4"]:
+def _premultiply_alpha(image: Image.Image) -> UInt8[np.ndarray, "h w 4"]:
     """Return the pixels of an image with colours multiplied by alpha."""
     pixels = np.asarray(image, np.uint16)
     pixels = np.concatenate([pixels[..., :3] * pixels[..., 3:] // 255, pixels[..., 3:]], axis=-1)

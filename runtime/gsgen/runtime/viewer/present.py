@@ -52,7 +52,7 @@ PRESENT_UNIFORM: Final = np.dtype(
 )
 """The bytes of ``struct Showing`` in present.wgsl."""
 
-_UNIFORM: Final = {"buffer": {"type": "uniform"}}
+_UNIFORM_BINDING: Final = {"buffer": {"type": "uniform"}}
 _BLEND_OVER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 
 
@@ -95,7 +95,7 @@ class PresentPass:
             device,
             "present",
             source("present", **PRESENT_CONSTANTS),
-            [_UNIFORM, {"buffer": {"type": "read-only-storage"}}],
+            [_UNIFORM_BINDING, {"buffer": {"type": "read-only-storage"}}],
             targets=[{"format": format}],
         )
         blend_state = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
@@ -103,7 +103,7 @@ class PresentPass:
             device,
             "panel",
             source("panel"),
-            [_UNIFORM, {"texture": {"sample_type": "float"}}],
+            [_UNIFORM_BINDING, {"texture": {"sample_type": "float"}}],
             targets=[{"format": format, "blend": blend_state}],
         )
         self._bindings: dict[Buffer, tuple[Buffer, BindGroup]] = {}

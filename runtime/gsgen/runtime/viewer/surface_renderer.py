@@ -58,14 +58,14 @@ class SurfaceRenderer:
     ) -> None:
         self._open_device = open_device
         self._rasteriser: RasteriserOption = rasteriser
-        self._compact = compact
+        self._is_compact = compact
         self._upload: tuple[Device, list[int], list[Buffer]] | None = None
         self.seconds = 0.0
         self._begin()
 
     def _begin(self) -> None:
         self.renderer = Renderer(
-            self._open_device(), rasteriser=self._rasteriser, compact=self._compact
+            self._open_device(), rasteriser=self._rasteriser, compact=self._is_compact
         )
         self._present_pass: PresentPass | None = None
         self._configured_context: WgpuContext | None = None
@@ -115,7 +115,7 @@ class SurfaceRenderer:
         if playback.post and request.mode == "color":
             player = playback.player(self.renderer, request.background, output)
             frame = playback.frame(player, camera)
-            bands, camera = self._uploaded(frame), _resize_camera(camera, frame)
+            bands, camera = self._upload_images(frame), _resize_camera(camera, frame)
             color_space = frame.color_space
         else:
             scene = playback.scene()
@@ -132,7 +132,7 @@ class SurfaceRenderer:
             bands=bands, camera=camera, mode=request.mode, depths=depths, color_space=color_space
         )
 
-    def _uploaded(self, frame: Frame) -> list[DrawnImage]:
+    def _upload_images(self, frame: Frame) -> list[DrawnImage]:
         """Upload a frame that a post-process model computed on the CPU, in bands of rows."""
         assert frame.rgba is not None  # colours were drawn
         device, (height, width) = self.renderer.device, frame.rgba.shape[:2]

@@ -34,9 +34,9 @@ Event: TypeAlias = Mapping[str, Any]
 """Fields of an event by name: of an input event of rendercanvas, or one for a program."""
 
 _MODE_BY_KEY: Final[dict[str, Mode]] = dict(zip("12345", PICTURE_MODES, strict=True))
-_BACKGROUNDS: Final = ((1.0, 1.0, 1.0, 1.0), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, 0.0, 1.0))
+_BACKGROUND_CHOICES: Final = ((1.0, 1.0, 1.0, 1.0), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, 0.0, 1.0))
 _SH_DEGREES: Final = (None, *range(MAX_DEGREE + 1))
-_ANTIALIAS: Final[tuple[Literal["classic", "mip"] | None, ...]] = (None, "classic", "mip")
+_ANTIALIAS_CHOICES: Final[tuple[Literal["classic", "mip"] | None, ...]] = (None, "classic", "mip")
 _MAX_STEP: Final = 0.25  # seconds; time does not jump after a stall
 _MAX_SECONDS: Final = 0.12  # that drawing may take while something moves
 _MAX_COARSENESS: Final = 4
@@ -86,7 +86,7 @@ class Viewer:
     ) -> None:
         self.playback, self.mode, self._view = playback, mode, view
         self._renderer = renderer or SurfaceRenderer()
-        self._backgrounds = [tuple(map(float, background)), *_BACKGROUNDS]
+        self._backgrounds = [tuple(map(float, background)), *_BACKGROUND_CHOICES]
         self._folder, self._print_line, self._on_event = folder, print_line, on_event
         self._open_files, self._clock = open_files, clock
         self.message, self.closed = "", False
@@ -364,7 +364,7 @@ class Viewer:
         self.playback.sh_degree = _next_choice(_SH_DEGREES, self.playback.sh_degree)
 
     def _next_antialias(self) -> None:
-        self.playback.antialias = _next_choice(_ANTIALIAS, self.playback.antialias)
+        self.playback.antialias = _next_choice(_ANTIALIAS_CHOICES, self.playback.antialias)
 
     def _next_background(self) -> None:
         self._backgrounds = [*self._backgrounds[1:], self._backgrounds[0]]

@@ -17,8 +17,8 @@ from gsgen.contract.process.drafts import temporary_folder
 ORT_VERSION: Final = "1.30.0"
 """The version that pages load; the client is tested with this one."""
 
-_PACKAGE: Final = "onnxruntime-web"
-_SHA256: Final = "d2228df7e4616bc3348bf504ee888f3bec43789a273f0a63f3e68d203ce3bf71"
+_NPM_PACKAGE: Final = "onnxruntime-web"
+_PACKAGE_SHA256: Final = "d2228df7e4616bc3348bf504ee888f3bec43789a273f0a63f3e68d203ce3bf71"
 _BUILD_FILES: Final = {
     "ort.jspi.bundle.min.mjs": "ort-wasm-simd-threaded.jspi.wasm",
     "ort.webgpu.bundle.min.mjs": "ort-wasm-simd-threaded.asyncify.wasm",
@@ -29,7 +29,7 @@ ORT_FILES: Final = (*_BUILD_FILES, *_BUILD_FILES.values())
 
 def cached_ort() -> Path:
     """Return the cache folder of the user for the downloaded files of ONNX Runtime Web."""
-    return user_cache_path("gsgen", appauthor=False) / f"{_PACKAGE}-{ORT_VERSION}"
+    return user_cache_path("gsgen", appauthor=False) / f"{_NPM_PACKAGE}-{ORT_VERSION}"
 
 
 def ort_folder(user_folder: Path | None) -> Path:
@@ -45,20 +45,20 @@ def ort_folder(user_folder: Path | None) -> Path:
     if user_folder is not None:
         missing = [name for name in ORT_FILES if not (user_folder / name).is_file()]
         if missing:
-            hint = f"Name the folder `dist` of the npm package {_PACKAGE}@{ORT_VERSION}."
+            hint = f"Name the folder `dist` of the npm package {_NPM_PACKAGE}@{ORT_VERSION}."
             raise InputUnreadable(
                 f"the folder lacks {', '.join(missing)}", where=str(user_folder), hint=hint
             )
         return user_folder
     folder = cached_ort()
     if not all((folder / name).is_file() for name in ORT_FILES):
-        _fetch(folder)
+        _fetch_package(folder)
     return folder
 
 
-def _fetch(folder: Path) -> None:
+def _fetch_package(folder: Path) -> None:
     """Fetch the npm package, check its digest, and put the needed files into ``folder``."""
-    package = f"{_PACKAGE}@{ORT_VERSION}"
+    package = f"{_NPM_PACKAGE}@{ORT_VERSION}"
     hint = f"Fetch {package} yourself, and name its folder `dist`: --ort DIR"
     npm = which("npm")
     if npm is None:
@@ -79,8 +79,8 @@ def _fetch(folder: Path) -> None:
             raise ConfigInvalid(lines[-1], where=package, hint=hint)
         content = archives[0].read_bytes()
         digest = hashlib.sha256(content).hexdigest()
-        if digest != _SHA256:
-            message = f"has the digest {digest}, expected {_SHA256}"
+        if digest != _PACKAGE_SHA256:
+            message = f"has the digest {digest}, expected {_PACKAGE_SHA256}"
             raise ConfigInvalid(message, where=package, hint=hint)
         with tarfile.open(archives[0]) as archive:
             for name in ORT_FILES:

@@ -29,9 +29,9 @@ from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 
 _CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
-_PREFIX: Final = "gsgen/"
+_MODULE_PREFIX: Final = "gsgen/"
 _PAGE_MAGIC: Final = {"spz": b"\x1f\x8b", "sog": b"PK"}  # of the formats that pages read
-_STYLE: Final = """
+_PAGE_STYLE: Final = """
 body { margin: 0; background: #16181c; color: #e8eaed; font: 16px/1.5 system-ui, sans-serif }
 main { display: grid; gap: 1rem; min-height: 100vh; box-sizing: border-box; padding: 1rem;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)) }
@@ -188,9 +188,9 @@ def _inlined_modules() -> dict[str, str]:
         if name.endswith(".js"):
             text = client_file(name).decode("utf-8")
             # A module without an address cannot import its neighbours by relative names.
-            text = re.sub(r'(from |import\(|import )"\./', rf'\1"{_PREFIX}', text)
+            text = re.sub(r'(from |import\(|import )"\./', rf'\1"{_MODULE_PREFIX}', text)
             encoded = base64.b64encode(text.encode()).decode()
-            modules[_PREFIX + name] = f"data:text/javascript;base64,{encoded}"
+            modules[_MODULE_PREFIX + name] = f"data:text/javascript;base64,{encoded}"
     return modules
 
 
@@ -213,7 +213,7 @@ def _page(names: list[str], head: list[str], figures_html: list[str], end: str) 
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{title}</title>\n<style>{_STYLE}</style>",
+            f"<title>{title}</title>\n<style>{_PAGE_STYLE}</style>",
             *head,
             "<main>",
             *figures_html,

@@ -22,7 +22,7 @@ from gsgen.runtime.web.pages import (
     served_page,
 )
 
-_TYPES: Final = {
+_MIME_TYPES: Final = {
     ".js": "text/javascript",
     ".mjs": "text/javascript",
     ".json": "application/json",
@@ -88,11 +88,11 @@ class ModelServer(LocalServer):
 
 
 def _client_content(name: str) -> ContentTypeAndBytes:
-    return _TYPES[Path(name).suffix], client_file(name)
+    return _MIME_TYPES[Path(name).suffix], client_file(name)
 
 
 def _file(path: Path) -> ContentTypeAndBytes:
-    return _TYPES[path.suffix], path.read_bytes()
+    return _MIME_TYPES[path.suffix], path.read_bytes()
 
 
 def _model(path: Path, read: SplatReader) -> ContentTypeAndBytes:

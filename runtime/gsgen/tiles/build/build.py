@@ -156,7 +156,7 @@ def build_tileset(
     output = output.resolve()
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)
-    work = _prepare(output, files, parameters, division, fresh=fresh)
+    work = _prepare_output(output, files, parameters, division, fresh=fresh)
     run = _BuildRun(engine=engine, progress=progress)
     # 1. Scan: boxes, counts, digests.
     total = sum(chunk.count for chunk in chunks)
@@ -259,7 +259,7 @@ def _require_output(output: Path) -> None:
         )
 
 
-def _prepare(
+def _prepare_output(
     output: Path,
     files: Sequence[SceneFile],
     parameters: BuildParameters,
@@ -340,7 +340,9 @@ def _plan(
     cube = Cube.enclosing(low, np.max([chunk_facts.high for chunk_facts in nonempty_facts], axis=0))
     degree = max(file.degree for file in files)
     limit = min(partition, _PARTITION_BYTES // row_dtype(degree).itemsize)
-    cells, counts = _count(run, chunks, cube, limit, work, is_anchored=not parameters.implicit)
+    cells, counts = _count_cells(
+        run, chunks, cube, limit, work, is_anchored=not parameters.implicit
+    )
     max_grouped_splats = 0 if parameters.implicit else parameters.leaf
     partitions, top = make_partitions(
         cells, counts, max(limit, parameters.leaf), max_grouped_splats
@@ -360,7 +362,7 @@ def _plan(
     )
 
 
-def _count(
+def _count_cells(
     run: _BuildRun,
     chunks: Sequence[Chunk],
     cube: Cube,

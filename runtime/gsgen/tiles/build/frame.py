@@ -19,7 +19,7 @@ Z_UP_FROM_SCENE: Final[Float64[np.ndarray, "4 4"]] = np.array(
 )
 """Scene → world: a scene has y down and z forward, the world of 3D Tiles has z up."""
 
-_TOLERANCE: Final = 1e-6
+_SIMILARITY_TOLERANCE: Final = 1e-6
 
 
 def upright_transform() -> tuple[float, ...]:
@@ -106,7 +106,7 @@ def read_transform(path: Path) -> tuple[float, ...]:
     if np.isfinite(matrix).all():
         scale = float(np.cbrt(max(np.linalg.det(linear), 0.0)))
         error_size = float(np.abs(linear @ linear.T - scale**2 * np.eye(3)).max())
-        is_similarity = scale > 0 and error_size <= _TOLERANCE * scale**2
+        is_similarity = scale > 0 and error_size <= _SIMILARITY_TOLERANCE * scale**2
         if is_similarity and np.array_equal(matrix[3], [0, 0, 0, 1]):
             return _columns(matrix)
     raise ConfigInvalid(

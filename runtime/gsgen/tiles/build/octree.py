@@ -35,7 +35,7 @@ def build_partition(plan: Plan, partition: Partition) -> int:
         built_tiles = _write_leaf_tile(plan, rows, codes, location)
     else:
         built_tiles = _build_cell(plan, rows, codes, anchors_of(plan, rows), location)
-    _save(plan, name, *built_tiles)
+    _save_tiles(plan, name, *built_tiles)
     return partition.count
 
 
@@ -79,7 +79,7 @@ def _build_cell(
             )
     if extra is not None:
         parts.append(extra)
-    return _write_parent(plan, location, parts)
+    return _write_parent_tile(plan, location, parts)
 
 
 def _write_large_splats(
@@ -96,7 +96,7 @@ def _write_large_splats(
     return [tile for tile, _ in leaves], concatenate([mixture for _, mixture in leaves])
 
 
-def _write_parent(plan: Plan, location: int, parts: list[BuiltTiles]) -> BuiltTiles:
+def _write_parent_tile(plan: Plan, location: int, parts: list[BuiltTiles]) -> BuiltTiles:
     """Write the parent tile of several tiles; a single tile needs no parent."""
     tiles = [tile for part, _ in parts for tile in part]
     mixture = concatenate([part for _, part in parts])
@@ -116,7 +116,9 @@ def build_top_levels(plan: Plan, location: int) -> int:
     if _marker_file(plan, name).exists():
         return 0
     below = [name for name, parent_cell in _parent_cells(plan).items() if parent_cell == location]
-    _save(plan, name, *_write_parent(plan, location, [_load(plan, name) for name in below]))
+    _save_tiles(
+        plan, name, *_write_parent_tile(plan, location, [_load(plan, name) for name in below])
+    )
     return 0
 
 
@@ -143,7 +145,7 @@ def _marker_file(plan: Plan, name: str) -> Path:
     return Path(plan.work) / "tiles" / f"{name}.json"
 
 
-def _save(plan: Plan, name: str, tiles: list[Tile], mixture: Mixture) -> None:
+def _save_tiles(plan: Plan, name: str, tiles: list[Tile], mixture: Mixture) -> None:
     folder = Path(plan.work) / "tiles"
     save_array(folder / f"{name}.npy", _pack_mixture(mixture))
     write_json(_marker_file(plan, name), [tile.as_json() for tile in tiles])

@@ -124,7 +124,7 @@ def _open_scene_file(path: Path) -> SceneFile:
         table = ply_table(path) if _is_ply(path) else None
         status = path.stat()
         if table is None:
-            return _decoded(path, status.st_size, status.st_mtime_ns)
+            return _decode_scene_file(path, status.st_size, status.st_mtime_ns)
     except FormatError as error:
         raise _unreadable_input_error(error) from error
     except OSError as error:
@@ -155,7 +155,7 @@ def _is_ply(path: Path) -> bool:
         return file.read(4) in (b"ply\n", b"ply\r")
 
 
-def _decoded(path: Path, size: int, modified: int) -> SceneFile:
+def _decode_scene_file(path: Path, size: int, modified: int) -> SceneFile:
     splats = _read_whole_file(path)
     return SceneFile(
         path=str(path),

@@ -75,14 +75,14 @@ class Tile:
 def tile_from_json(value: Mapping[str, Any]) -> Tile:
     """Return a tile from the JSON of :meth:`Tile.as_json`."""
     contents = (
-        Content(**{**item, "low": _xyz(item["low"]), "high": _xyz(item["high"])})
+        Content(**{**item, "low": _point_tuple(item["low"]), "high": _point_tuple(item["high"])})
         for item in value["contents"]
     )
     children = (tile_from_json(child) for child in value["children"])
     return Tile(**{**value, "contents": tuple(contents), "children": tuple(children)})
 
 
-def _xyz(values: list[float]) -> tuple[float, float, float]:
+def _point_tuple(values: list[float]) -> tuple[float, float, float]:
     return cast(tuple[float, float, float], tuple(values))
 
 
@@ -144,8 +144,8 @@ def _write(
             path=path,
             size=len(encoded.data),
             sha256=digest,
-            low=_xyz(encoded.low.tolist()),
-            high=_xyz(encoded.high.tolist()),
+            low=_point_tuple(encoded.low.tolist()),
+            high=_point_tuple(encoded.high.tolist()),
         )
         contents.append(content)
         degree = encoded.sh_degree

@@ -9,30 +9,30 @@ from gsgen.tiles.format.json_values import JsonDict
 TILE_CLASS: Final = "gsgen_tile"
 TILESET_CLASS: Final = "gsgen_tileset"
 
-_SCALAR: Final[JsonDict] = {"type": "SCALAR"}
+_SCALAR_PROPERTY: Final[JsonDict] = {"type": "SCALAR"}
 
 
 def metadata_schema() -> JsonDict:
     """Return the metadata schema (3D Metadata Specification 1.0) of an explicit tileset."""
     tile: dict[str, JsonDict] = {
         "bytes": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "array": True,
             "componentType": "UINT32",
             "description": "Bytes of the content at each quality, finest first.",
         },
         "cell": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "FLOAT32",
             "description": "Side of the cells in which splats were merged; 0 for a leaf.",
         },
         "splats": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "UINT32",
             "description": "How many splats the content has.",
         },
         "utility": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "array": True,
             "componentType": "FLOAT32",
             "description": "What drawing the content is worth at each quality.",
@@ -42,19 +42,19 @@ def metadata_schema() -> JsonDict:
     required = {name: {"required": True, **entry} for name, entry in tile.items()}
     tileset = {
         "quality": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "UINT8",
             "description": 'Which of the sizes in "bytes" is that of the contents.',
             "required": True,
         },
         "sh_degree": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "UINT8",
             "description": "Highest degree of spherical harmonics in the contents.",
             "required": True,
         },
         "source_splats": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "UINT64",
             "description": "How many splats the scene has: all leaves together.",
             "required": True,
@@ -68,18 +68,18 @@ def metadata_schema() -> JsonDict:
 
 def implicit_metadata_schema() -> JsonDict:
     """Return the metadata schema of an implicit tileset, whose subtrees have property tables."""
-    box = {"array": True, "componentType": "FLOAT64", "count": 12, **_SCALAR}
+    box = {"array": True, "componentType": "FLOAT64", "count": 12, **_SCALAR_PROPERTY}
     schema = metadata_schema()
     properties = {
         "box": {**box, "required": True, "semantic": "TILE_BOUNDING_BOX"},
-        "cell": {**_SCALAR, "componentType": "FLOAT32", "required": True},
+        "cell": {**_SCALAR_PROPERTY, "componentType": "FLOAT32", "required": True},
         "geometric_error": {
-            **_SCALAR,
+            **_SCALAR_PROPERTY,
             "componentType": "FLOAT64",
             "required": True,
             "semantic": "TILE_GEOMETRIC_ERROR",
         },
-        "splats": {**_SCALAR, "componentType": "UINT32", "required": True},
+        "splats": {**_SCALAR_PROPERTY, "componentType": "UINT32", "required": True},
     }
     content = {"content_box": {**box, "required": True, "semantic": "CONTENT_BOUNDING_BOX"}}
     schema["classes"][TILE_CLASS] = {"properties": properties}

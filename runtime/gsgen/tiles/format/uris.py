@@ -13,7 +13,7 @@ from urllib.parse import unquote
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import shorten
 
-_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
+_URI_SCHEME_PATTERN = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 _MAX_URI_LENGTH = 2048
 
 
@@ -31,7 +31,7 @@ def resolve_uri(base: str, uri: str, location: str) -> str:
     path = unquote(re.split(r"[?#]", uri, maxsplit=1)[0])
     resolved = posixpath.normpath(posixpath.join(posixpath.dirname(base), path))
     outside = (
-        bool(_SCHEME.match(uri))
+        bool(_URI_SCHEME_PATTERN.match(uri))
         or path.startswith(("/", "\\"))
         or resolved == ".."
         or resolved.startswith("../")

@@ -41,10 +41,10 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
         document.child("asset").refuse("version", "2.0")
     with raise_as_fault(location, Fault.CONTENT):
         require_known_extensions(document.values, READABLE_EXTENSIONS)
-    return _with_buffers(document, fetch)
+    return _join_buffers(document, fetch)
 
 
-def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
+def _join_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
     """Join the buffers of a .gltf file into one, and adapt the buffer views."""
     starts, joined = [], bytearray()
     buffers = list(document.objects("buffers"))
@@ -57,7 +57,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
             fault=Fault.CONTENT,
         )
     for buffer, size in zip(buffers, sizes, strict=True):
-        content = _buffer(buffer, size, fetch)
+        content = _read_buffer(buffer, size, fetch)
         if len(content) < size:
             raise TilesetInvalid(
                 f"the glTF buffer has {len(content)} bytes",
@@ -83,7 +83,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
     return Container(document=values, data=bytes(joined), start=0, size=len(joined))
 
 
-def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
+def _read_buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
     uri = buffer.text("uri")
     match = _DATA_URI.match(uri)
     if match:

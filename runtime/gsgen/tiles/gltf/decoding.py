@@ -38,7 +38,7 @@ MAX_DECODED_BYTES: Final = 2 << 30
 
 _SPZ_HEADER = struct.Struct("<4sIIBB")
 _SPZ_HEAD_BYTES = 512
-_COEFFICIENT = re.compile(r"SH_DEGREE_(\d)_COEF_\d")
+_COEFFICIENT_PATTERN = re.compile(r"SH_DEGREE_(\d)_COEF_\d")
 _DECODED_SPLAT_BYTES = 400  # bytes of a splat while it is decoded
 
 
@@ -125,7 +125,7 @@ def _primitive(
         accessor = container.item("accessors", index, f"{where}.attributes.{name}")
         entry = JsonObject(accessor, f"{location}, accessors[{index}]", Fault.COUNTS)
         counts[str(name)] = entry.whole("count", most=MAX_SPLATS)
-    degrees = [int(match[1]) for match in map(_COEFFICIENT.search, attributes) if match]
+    degrees = [int(match[1]) for match in map(_COEFFICIENT_PATTERN.search, attributes) if match]
     degree, version = max(degrees, default=0), None
     for name in (SPZ_EXTENSION, *DRAFT_EXTENSIONS):
         if name in packed:

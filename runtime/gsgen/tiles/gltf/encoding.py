@@ -29,8 +29,8 @@ EXTENT_SIGMAS: Final = 3.0
 """Standard deviations that the volumes of tiles hold of each splat."""
 
 _DIAGONAL_INDICES = [0, 3, 5]  # xx, yy and zz of an upper triangle
-_FLOAT, _UNSIGNED_BYTE = 5126, 5121
-_WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_FLOAT_COMPONENT, _UNSIGNED_BYTE = 5126, 5121
+_TYPE_BY_WIDTH = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _EncodedParts = tuple[JsonDict, bytes, Splats]
 
 
@@ -109,7 +109,7 @@ def _extent(stored_splats: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[n
     return (np.array([low[x], -high[z], low[y]]), np.array([high[x], -low[z], high[y]]))
 
 
-def _as_spz(local: Splats, quality: int) -> _EncodedParts:
+def _encode_spz_splats(local: Splats, quality: int) -> _EncodedParts:
     packed, stored_splats = encode_spz(local, quality)
     count = len(stored_splats)
     low, high = stored_splats.position.min(axis=0), stored_splats.position.max(axis=0)
@@ -131,7 +131,7 @@ def _as_spz(local: Splats, quality: int) -> _EncodedParts:
     return document, packed, stored_splats
 
 
-def _as_floats(local: Splats, quality: int) -> _EncodedParts:
+def _encode_float_splats(local: Splats, quality: int) -> _EncodedParts:
     del quality  # floats have one
     arrays = {
         "POSITION": local.position,
@@ -144,7 +144,7 @@ def _as_floats(local: Splats, quality: int) -> _EncodedParts:
         arrays[coefficient(*pair)] = local.sh[:, column]
     accessors = {}
     for index, (name, array) in enumerate(arrays.items()):
-        accessors[name] = _accessor(_WIDTHS[array.shape[1]], len(array))
+        accessors[name] = _accessor(_TYPE_BY_WIDTH[array.shape[1]], len(array))
         accessors[name]["bufferView"] = index
     low, high = local.position.min(axis=0), local.position.max(axis=0)
     accessors["POSITION"]["min"] = [float(value) for value in low]
@@ -155,7 +155,7 @@ def _as_floats(local: Splats, quality: int) -> _EncodedParts:
     return document, binary, local
 
 
-def _accessor(width: str, count: int, component_type: int = _FLOAT) -> JsonDict:
+def _accessor(width: str, count: int, component_type: int = _FLOAT_COMPONENT) -> JsonDict:
     return {"componentType": component_type, "count": count, "type": width}
 
 
@@ -188,7 +188,7 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
 
 
 CODECS: Final[dict[str, Callable[[Splats, int], _EncodedParts]]] = {
-    "spz": _as_spz,
-    "khr": _as_floats,
+    "spz": _encode_spz_splats,
+    "khr": _encode_float_splats,
 }
 """Codec name → function of splats with glTF axes to JSON, binary chunk and the stored splats."""

@@ -41,14 +41,14 @@ class DocumentReader:
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
         self._bytes_left = limits.index_bytes
-        self._documents = self._listed = 0
+        self._documents = self._listed_count = 0
         self._time = LoadingTime(store.name)
 
     def add_bytes(self, size: int, path: str) -> None:
         """Add a JSON document's bytes to the total; raise above the limits of reading a tileset."""
         self._bytes_left -= size
         self._documents += 1
-        self._require_few(self._documents, path)
+        self._require_document_limit(self._documents, path)
         self._time.require(f"{self._documents:,} JSON and subtree files")
         if self._bytes_left < 0:
             raise TilesetInvalid(
@@ -57,7 +57,7 @@ class DocumentReader:
                 expected="fewer",
             )
 
-    def _require_few(self, documents: int, path: str) -> None:
+    def _require_document_limit(self, documents: int, path: str) -> None:
         if documents > self._limits.documents:
             raise TilesetInvalid(
                 f"the tileset has more than {self._limits.documents:,} JSON and subtree files",
@@ -71,8 +71,8 @@ class DocumentReader:
         self.add_bytes(len(data), path)
         document = parse_object(data, f"{path}, ")
         # Those that it names are counted before the first of them is requested.
-        self._listed += _external_count(document.values)
-        self._require_few(self._listed, path)
+        self._listed_count += _external_count(document.values)
+        self._require_document_limit(self._listed_count, path)
         asset = document.child("asset")
         version = asset.text("version")
         if version not in _SUPPORTED_VERSIONS:

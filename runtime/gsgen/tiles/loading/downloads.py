@@ -24,7 +24,7 @@ _FILE_NAME: Final = re.compile(r"[^/\\\x00-\x1f\ud800-\udfff]{1,200}")
 def names_one_file(source: str | os.PathLike[str]) -> bool:
     """Return whether a text is a web address with the suffix of a splat file."""
     try:
-        parts = urlsplit(_address(source))
+        parts = urlsplit(_url_of_source(source))
     except ValueError:
         return False  # opening the address says why
     return parts.scheme in ("http", "https") and codec_of_suffix(parts.path) is not None
@@ -38,7 +38,7 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
         ContentMissing: The server has no such file.
         StoreUnavailable: The server cannot be reached now.
     """
-    address = _address(source)
+    address = _url_of_source(source)
     name = unquote(posixpath.basename(urlsplit(address).path))
     with temporary_folder() as folder, HttpStore(address) as store:
 
@@ -65,6 +65,6 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
             raise
 
 
-def _address(source: str | os.PathLike[str]) -> str:
+def _url_of_source(source: str | os.PathLike[str]) -> str:
     """Restore the second slash after the scheme of a web address, which ``Path`` removed."""
     return re.sub(r"^(https?):/+", r"\1://", os.fspath(source), flags=re.IGNORECASE)

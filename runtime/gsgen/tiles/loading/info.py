@@ -101,10 +101,10 @@ def _describe_loaded_tileset(store: Store, tileset: Tileset) -> TilesetInfo:
     tiles = list(tileset.tiles())
     for tile in tiles:
         for content in tile.contents:
-            measured = _from_metadata(tile, profile)
+            measured = _measured_from_metadata(tile, profile)
             if measured is None:
                 if content.uri not in known:
-                    known[content.uri] = _from_header(store, content)
+                    known[content.uri] = _measured_from_header(store, content)
                 measured = known[content.uri]
             levels.setdefault(tile.level, []).append((tile, measured))
     measured_pairs = [pair for pairs in levels.values() for pair in pairs]
@@ -135,7 +135,7 @@ def _level(level: int, pairs: list[tuple[Tile, _MeasuredFile]]) -> LevelInfo:
     )
 
 
-def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | None:
+def _measured_from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | None:
     """Return a tile's splats, bytes and SH degree from gsgen metadata; None if one is missing."""
     degree, quality = profile.get("sh_degree"), profile.get("quality", 0)
     splats, sizes = tile.metadata.get("splats"), tile.metadata.get("bytes")
@@ -148,7 +148,7 @@ def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | No
     return _MeasuredFile(int(splats or 0), sizes[min(quality, len(sizes) - 1)], degree)
 
 
-def _from_header(store: Store, content: Content) -> _MeasuredFile:
+def _measured_from_header(store: Store, content: Content) -> _MeasuredFile:
     store = store.for_one_tile()
     data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
 

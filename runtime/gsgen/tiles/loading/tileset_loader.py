@@ -34,7 +34,7 @@ from gsgen.tiles.stores.store import Store
 Matrix = Float64[np.ndarray, "4 4"]
 
 _MAX_SUBTREE: Final = 64 << 20
-_TOLERANCE: Final = 1e-4
+_SCALE_TOLERANCE: Final = 1e-4
 
 
 def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset:
@@ -100,7 +100,7 @@ class _Loader:
         asset = document.child("asset")
         source = self._documents.describe(index, document, ())
         root = document.child("root")
-        transform = self._transform(root)
+        transform = self._read_transform(root)
         parent = _Parent(np.eye(4), self._root_refine(root), 0)
         tree = self._tile(root, source, parent, own_transform=np.eye(4))
         extensions = document.optional("extensions")
@@ -145,9 +145,9 @@ class _Loader:
                 location=entry.location,
                 expected="fewer",
             )
-        self._count(1, entry.location)
+        self._count_tiles(1, entry.location)
         volume = read_volume(entry.child("boundingVolume"))
-        local_transform = self._transform(entry) if own_transform is None else own_transform
+        local_transform = self._read_transform(entry) if own_transform is None else own_transform
         transform = parent.transform @ local_transform
         error, refine = (
             entry.number("geometricError", least=0),
@@ -184,7 +184,7 @@ class _Loader:
         except TilesetInvalid as error:
             self._report.drop(error)
 
-    def _count(self, tiles: int, location: str) -> None:
+    def _count_tiles(self, tiles: int, location: str) -> None:
         self._tiles += tiles
         if self._tiles > self._limits.tiles:
             raise TilesetInvalid(
@@ -214,7 +214,7 @@ class _Loader:
             )
         return children
 
-    def _transform(self, entry: JsonObject) -> Matrix:
+    def _read_transform(self, entry: JsonObject) -> Matrix:
         """Return the transform of a tile; report a transform that is not a similarity."""
         if "transform" not in entry:
             return np.eye(4)
@@ -234,7 +234,7 @@ class _Loader:
                 expected="a rotation, a positive scale and a translation",
                 fault=Fault.TRANSFORM,
             )
-        if sizes[0] > sizes[2] * (1 + _TOLERANCE):
+        if sizes[0] > sizes[2] * (1 + _SCALE_TOLERANCE):
             self._report.note(
                 TilesetInvalid(
                     f"scales from {sizes[2]:g} to {sizes[0]:g}",
@@ -313,7 +313,7 @@ class _Loader:
             return None
 
     def _implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
-        self._count(-1, entry.location)
+        self._count_tiles(-1, entry.location)
         tree = read_implicit(
             entry, tile.volume, tile.geometric_error, tile.refine, document.path, document.classes
         )
@@ -325,7 +325,7 @@ class _Loader:
                 self._report.drop(error)
                 return None
 
-        return expand_implicit(tree, tile, load, self._count)
+        return expand_implicit(tree, tile, load, self._count_tiles)
 
     def _subtree(self, tree: ImplicitTree, origin: TileCoordinates) -> Subtree:
         uri = tree.uri(tree.subtree_uri, origin, f"{tree.location}.implicitTiling.subtrees.uri")

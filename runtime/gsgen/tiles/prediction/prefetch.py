@@ -86,7 +86,7 @@ class HorizonPrefetch:
         self._tree, self._predictor = tree, predictor
         self._frustum_at, self._max_error = frustum_at, max_error
         self._time = 0.0
-        self._planned: float | None = None
+        self._last_plan_time: float | None = None
         self._order: list[int] = []
 
     def observe(self, pose: Pose) -> None:
@@ -96,8 +96,11 @@ class HorizonPrefetch:
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the tiles that predicted poses see, the earliest first, in order of request."""
-        if self._planned is None or self._time - self._planned >= _PLAN_INTERVAL_SECONDS:
-            self._planned = self._time
+        if (
+            self._last_plan_time is None
+            or self._time - self._last_plan_time >= _PLAN_INTERVAL_SECONDS
+        ):
+            self._last_plan_time = self._time
             self._order = self._plan()
         return [tile for tile in self._order if not loaded[tile]]
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float64
 
-_SIGMA: Final = 1.5
+_WINDOW_SIGMA: Final = 1.5
 _WINDOW_RADIUS: Final = 5  # pixels: a window of 11
 _LUMINANCE_CONSTANT, _CONTRAST_CONSTANT = 0.01**2, 0.03**2
 
@@ -43,7 +43,7 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
 def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
     """Convolve a picture with the SSIM window, without borders."""
     steps = np.arange(-_WINDOW_RADIUS, _WINDOW_RADIUS + 1)
-    window = np.exp(-0.5 * (steps / _SIGMA) ** 2)
+    window = np.exp(-0.5 * (steps / _WINDOW_SIGMA) ** 2)
     window /= window.sum()
     for axis in (0, 1):
         inner = image.shape[axis] - 2 * _WINDOW_RADIUS

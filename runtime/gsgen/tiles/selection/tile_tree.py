@@ -91,7 +91,7 @@ class TileTree:
             is_additive=np.array([tile.refine == "ADD" for tile in tiles]),
             size=np.array([size for size, _ in tile_measures], np.int64),
             splats=np.array([splats for _, splats in tile_measures], np.int64),
-            is_counted=all(_is_counted(tile) for tile in tiles if tile.contents),
+            is_counted=all(_has_counts(tile) for tile in tiles if tile.contents),
             rows_of_level=tuple(
                 np.flatnonzero(level == depth) for depth in range(int(level.max()) + 1)
             ),
@@ -153,12 +153,12 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
         size = (
             sum(sizes) if max(sizes) <= MAX_CONTENT_BYTES else 0
         )  # reading it says that it is too large
-    if _is_counted(tile):
+    if _has_counts(tile):
         return size, int(tile.metadata["splats"])
     return size, size // _BYTES_PER_SPLAT
 
 
-def _is_counted(tile: Tile) -> bool:
+def _has_counts(tile: Tile) -> bool:
     """Return whether a tile's metadata tell the number of its splats."""
     return _is_count(tile.metadata.get("splats"))
 

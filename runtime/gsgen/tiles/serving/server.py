@@ -21,7 +21,7 @@ _STALL_SECONDS = 60.0
 _RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
 _NOT_IN_NAMES: Final = frozenset("\\:\0")
-_TYPES: Final = {
+_MIME_TYPES: Final = {
     ".json": "application/json",
     ".glb": "model/gltf-binary",
     ".gltf": "model/gltf+json",
@@ -121,9 +121,9 @@ class _Handler(LocalHandler):
             self._send_refusal(HTTPStatus.NOT_FOUND, with_body=with_body)
             return
         with stream:
-            self._answer_from(stream, with_body=with_body, cut=failure == "cut")
+            self._send_stream(stream, with_body=with_body, cut=failure == "cut")
 
-    def _answer_from(self, stream: BinaryIO, *, with_body: bool, cut: bool) -> None:
+    def _send_stream(self, stream: BinaryIO, *, with_body: bool, cut: bool) -> None:
         """Answer a request from an open file."""
         file, status = Path(stream.name), os.fstat(stream.fileno())
         etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
@@ -182,7 +182,7 @@ class _Handler(LocalHandler):
         self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
     ) -> None:
         self.send_response(status)
-        kind = _TYPES.get(file.suffix.lower(), "application/octet-stream")
+        kind = _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
         is_immutable = _NAMED_BY_DIGEST.search(file.name) is not None
         caching = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [

@@ -88,8 +88,8 @@ class SimulatedLink:
         rtt: float,
         connections: int,
     ) -> None:
-        self._clock, self._trace, self._size = clock, trace, size
-        self._rtt, self._connections = rtt, connections
+        self._clock, self._rate_trace, self._size = clock, trace, size
+        self._round_trip_seconds, self._connections = rtt, connections
         self._transfers: list[_PendingTransfer] = []
 
     @property
@@ -99,7 +99,7 @@ class SimulatedLink:
 
     def request(self, tile: int) -> None:
         """Begin to fetch a tile over the simulated network link."""
-        start = self._clock.now() + self._rtt
+        start = self._clock.now() + self._round_trip_seconds
         self._transfers.append(_PendingTransfer(tile, start, float(self._size[tile])))
 
     def progress(self, tile: int) -> float:
@@ -134,9 +134,9 @@ class SimulatedLink:
             if now >= end_time:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
-            share = self._trace.rate(now) / max(len(active_transfers), 1)
+            share = self._rate_trace.rate(now) / max(len(active_transfers), 1)
             waiting = [entry.start for entry in self._transfers if entry.start > now]
-            moment = min([end_time, self._trace.next_change(now), *waiting])
+            moment = min([end_time, self._rate_trace.next_change(now), *waiting])
             if active_transfers and share > 0:
                 least = min(entry.remaining for entry in active_transfers)
                 moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))

@@ -17,11 +17,11 @@ class FolderStore(Store):
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
         self._folder = folder
-        self._resolved = folder.resolve()
+        self._resolved_folder = folder.resolve()
 
     def size(self, path: str) -> int:
         """Return the bytes of a file in the folder."""
-        return self._open_check(path)[1]
+        return self._open_checked_file(path)[1]
 
     def read(
         self,
@@ -32,7 +32,7 @@ class FolderStore(Store):
         limit: int = MAX_STORE_FILE_BYTES,
     ) -> bytes:
         """Read bytes of a file in the folder, see :class:`~gsgen.tiles.stores.store.Store`."""
-        file, whole = self._open_check(path)
+        file, whole = self._open_checked_file(path)
         count = check_range(self.name, path, whole, start, size, limit)
         try:
             with file.open("rb") as stream:
@@ -41,12 +41,12 @@ class FolderStore(Store):
         except OSError as error:
             raise self._unreadable_file_error(path, error) from error
 
-    def _open_check(self, path: str) -> tuple[Path, int]:
+    def _open_checked_file(self, path: str) -> tuple[Path, int]:
         """Return the path and size of a regular file in the folder; raise for any other file."""
         file = self._folder / path
         try:
             status = file.stat()
-            is_inside_folder = file.resolve().is_relative_to(self._resolved)
+            is_inside_folder = file.resolve().is_relative_to(self._resolved_folder)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise missing(self.name, path) from error
         except (OSError, ValueError) as error:

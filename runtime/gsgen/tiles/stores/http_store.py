@@ -37,7 +37,7 @@ class HttpStore(Store):
     def __init__(
         self, address: str, *, timeout: float | None = None, allow_origins: Sequence[str] = ()
     ) -> None:
-        with _faults_at(address):
+        with _translate_faults(address):
             self._client = WebClient(address, seconds=timeout, allow_origins=allow_origins)
         self._deadline: Deadline | None = None
         parts = urlsplit(address)
@@ -46,8 +46,8 @@ class HttpStore(Store):
 
     def size(self, path: str) -> int:
         """Return the size of a file on the web server in bytes, by a HEAD request."""
-        with _faults_at(self._location(path)):
-            return self._client.size(self._address(path))
+        with _translate_faults(self._location(path)):
+            return self._client.size(self._url_of_path(path))
 
     def read(
         self,
@@ -60,9 +60,9 @@ class HttpStore(Store):
         """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
-        with _faults_at(self._location(path)):
+        with _translate_faults(self._location(path)):
             return self._client.read(
-                self._address(path),
+                self._url_of_path(path),
                 max_bytes=limit,
                 start=start,
                 size=size,
@@ -85,15 +85,17 @@ class HttpStore(Store):
             StoreUnavailable: The server cannot be read now.
             TilesetInvalid: The file is larger than ``limit``.
         """
-        with _faults_at(self._location(path)):
+        with _translate_faults(self._location(path)):
             return self._client.read(
-                self._address(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
+                self._url_of_path(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
             )
 
     def save(self, path: str, into: BinaryIO, limit: int = MAX_STORE_FILE_BYTES) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
-        with _faults_at(self._location(path)):
-            self._client.copy(self._address(path), into, max_bytes=limit, deadline=self._deadline)
+        with _translate_faults(self._location(path)):
+            self._client.copy(
+                self._url_of_path(path), into, max_bytes=limit, deadline=self._deadline
+            )
 
     def for_one_tile(self) -> "HttpStore":
         """Return a view of the store whose reads together have the deadline of one file."""
@@ -108,7 +110,7 @@ class HttpStore(Store):
         view._deadline = deadline
         return view
 
-    def _address(self, path: str) -> str:
+    def _url_of_path(self, path: str) -> str:
         return self._location(quote(path.encode("utf-8", "surrogatepass")))
 
     def _location(self, path: str) -> str:
@@ -120,7 +122,7 @@ class HttpStore(Store):
 
 
 @contextmanager
-def _faults_at(location: str) -> Iterator[None]:
+def _translate_faults(location: str) -> Iterator[None]:
     """Translate errors of the web client into those of tilesets."""
     try:
         yield

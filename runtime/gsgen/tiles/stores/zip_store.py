@@ -25,7 +25,7 @@ INDEX_NAME: Final = "@3dtilesIndex1@"
 _INDEX_RECORD = struct.Struct("<16sQ")
 _LOCAL_HEADER = struct.Struct("<4s5H3I2H")
 _LOCAL_MAGIC = b"PK\x03\x04"
-_DEFLATED = 8
+_DEFLATE_METHOD = 8
 _MAX_MEMBERS = 4_000_000
 _ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equal archives
 
@@ -50,7 +50,7 @@ class ZipStore(Store):
         self.name = name or str(archive)
         self._lock = Lock()
         try:
-            self._file = archive if isinstance(archive, RangedFile) else _opened(archive)
+            self._file = archive if isinstance(archive, RangedFile) else _open_archive(archive)
         except OSError as error:
             raise StoreUnavailable(
                 f"the archive cannot be read: {error.strerror}",
@@ -121,7 +121,7 @@ class ZipStore(Store):
 
     def _read_member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
         """Read an archive member by its local header; offsets in the zip directory may be wrong."""
-        header = self._read_at(member.header_offset, _LOCAL_HEADER.size)
+        header = self._read_range(member.header_offset, _LOCAL_HEADER.size)
         if len(header) < _LOCAL_HEADER.size or header[:4] != _LOCAL_MAGIC:
             raise self._damage_error(f"{member.filename} is not at byte {member.header_offset}")
         *_, name_length, extra_length = _LOCAL_HEADER.unpack(header)
@@ -129,8 +129,8 @@ class ZipStore(Store):
         if member.flag_bits & 1:
             raise self._damage_error(f"{member.filename} is encrypted")
         if member.compress_type == zipfile.ZIP_STORED:
-            data = self._read_at(first + start, count)
-        elif member.compress_type == _DEFLATED:
+            data = self._read_range(first + start, count)
+        elif member.compress_type == _DEFLATE_METHOD:
             data = self._inflate(first, member.compress_size, start + count)[start:]
         else:
             method = member.compress_type
@@ -146,13 +146,13 @@ class ZipStore(Store):
 
     def _inflate(self, first: int, packed: int, count: int) -> bytes:
         decompressor = zlib.decompressobj(wbits=-15)
-        data = self._read_at(first, min(packed, count + (count >> 3) + (1 << 16)))
+        data = self._read_range(first, min(packed, count + (count >> 3) + (1 << 16)))
         try:
             return decompressor.decompress(data, count) if count else b""
         except zlib.error as error:
             raise self._damage_error(f"an archived file cannot be unpacked ({error})") from error
 
-    def _read_at(self, start: int, count: int) -> bytes:
+    def _read_range(self, start: int, count: int) -> bytes:
         if isinstance(self._file, RangedFile):
             return self._file.read_at(start, count)
         with self._lock:
@@ -176,7 +176,7 @@ class ZipStore(Store):
         self._file.close()
 
 
-def _opened(archive: Path) -> BinaryIO:
+def _open_archive(archive: Path) -> BinaryIO:
     if archive.exists() and not archive.is_file():  # opening a pipe waits for its writer
         raise OSError(errno.EINVAL, "the path is a folder, device, pipe or socket")
     return archive.open("rb")

@@ -19,8 +19,8 @@ class SystemClock:
     """A clock that counts real seconds since it was created."""
 
     def __init__(self) -> None:
-        self._start = time.monotonic()
+        self._start_seconds = time.monotonic()
 
     def now(self) -> float:
         """Return the real seconds since the clock was created."""
-        return time.monotonic() - self._start
+        return time.monotonic() - self._start_seconds

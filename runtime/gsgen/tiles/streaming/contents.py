@@ -54,7 +54,7 @@ class ContentReader:
             int, int
         ] = {}  # tile → quality of the files that were read last
         self._store, self._tileset, self._tree = store, tileset, tree
-        self._cache = cache if isinstance(store, HttpStore) else None
+        self._disk_cache = cache if isinstance(store, HttpStore) else None
         degree = tileset.metadata.get("sh_degree")
         known = isinstance(degree, int) and 0 <= degree <= MAX_DEGREE
         self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
@@ -107,11 +107,11 @@ class ContentReader:
         """Read a file of the tileset; files of web servers come from the disk cache if cached."""
         if not isinstance(store, HttpStore):
             return store.read(uri, limit=limit)
-        data = self._cache.get(store.name, uri, digest) if self._cache else None
+        data = self._disk_cache.get(store.name, uri, digest) if self._disk_cache else None
         if data is None:
             data = store.read_whole(uri, on_bytes, limit)
-            if self._cache:
-                self._cache.put(store.name, uri, data, digest)
+            if self._disk_cache:
+                self._disk_cache.put(store.name, uri, data, digest)
         return data
 
     def decode(self, tile: int, files: list[Container]) -> TileArrival:

@@ -80,7 +80,7 @@ class DiskCache:
         file = self._file(store, path)
         with self._lock, contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            with self._open_locked() as total_file:
+            with self._open_locked_file() as total_file:
                 total = self._evict_for_size(_read_total_size(total_file), len(data))
                 _write_total_size(
                     total_file, total
@@ -90,7 +90,7 @@ class DiskCache:
                 draft.replace(file)
 
     @contextlib.contextmanager
-    def _open_locked(self) -> Iterator[BinaryIO]:
+    def _open_locked_file(self) -> Iterator[BinaryIO]:
         """Open and lock the file ``FOLDER.lock``, which holds the total of the cached bytes."""
         lock_path = self._folder.with_name(f"{self._folder.name}.lock")
         with open(os.open(lock_path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as file:

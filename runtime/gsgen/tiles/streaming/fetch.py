@@ -81,7 +81,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
         size: Callable[[int], int],
         connections: int,
     ) -> None:
-        self._fetch, self._decode, self._size = fetch, decode, size
+        self._fetch_content, self._decode_content, self._size = fetch, decode, size
         self._connections = connections
         self._decoders = Semaphore(_DECODER_THREADS)
         self._active_requests: dict[int, _Request] = {}
@@ -101,7 +101,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
     def request(self, tile: int) -> None:
         """Begin to fetch a tile on a thread of its own."""
         with self._lock:
-            self._begin(tile)
+            self._begin_transfer(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
         """Replace the queue of tiles; each is requested when a network connection is free."""
@@ -114,7 +114,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
             started, self._started_requests = self._started_requests, []
         return started
 
-    def _begin(self, tile: int) -> None:
+    def _begin_transfer(self, tile: int) -> None:
         """Start a thread that fetches a tile; the caller holds ``self._lock``."""
         request = self._active_requests[tile] = _Request(tile)
         Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
@@ -162,7 +162,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
 
     def _run(self, request: _Request) -> None:
         try:
-            data = self._fetch(request.tile, request.on_bytes)
+            data = self._fetch_content(request.tile, request.on_bytes)
         except _Cancelled:
             return
         except Exception as error:
@@ -182,12 +182,12 @@ class FetchLink(Generic[FetchedType, DecodedType]):
             while self._queue and len(self._active_requests) < self._connections:
                 tile = self._queue.popleft()
                 self._started_requests.append(tile)
-                self._begin(tile)
+                self._begin_transfer(tile)
             return True
 
     def _decode_and_answer(self, tile: int, data: FetchedType) -> None:
         try:
-            content = self._decode(tile, data)
+            content = self._decode_content(tile, data)
         except Exception as error:
             self._queue_failure(tile, error)
         else:

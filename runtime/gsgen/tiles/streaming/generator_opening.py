@@ -39,7 +39,7 @@ class GeneratorOpener:
         confined: "ConfinedModels | None" = None,
     ) -> None:
         self._tree, self._read_model, self._provider = tree, read_model, provider
-        self._confined = confined
+        self._confined_models = confined
         self._validated_tiles: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
@@ -59,9 +59,9 @@ class GeneratorOpener:
             if tile not in self._validated_tiles:
                 self._require_declarations(tile, entry.neural, path)
                 self._validated_tiles.add(tile)
-            worker = GeneratorWorker(path, self._provider, confined=self._confined)
+            worker = GeneratorWorker(path, self._provider, confined=self._confined_models)
         try:
-            _require_drawable(worker)
+            _require_drawable_model(worker)
         except TilesetInvalid:
             worker.close()
             raise
@@ -71,7 +71,7 @@ class GeneratorOpener:
         """Raise if a tile's ONNX generator breaks a validation rule or the tile's declaration."""
         entry, box = self._tree.tiles[tile], self._tree.box(tile)
         bounds = TileBounds(box, entry.transform)
-        limits = self._confined.limits if self._confined else None
+        limits = self._confined_models.limits if self._confined_models else None
         _raise_first_violation(
             list(check_neural_model(path, entry, neural, "model", bounds=bounds, limits=limits))
         )
@@ -83,7 +83,7 @@ def _raise_first_violation(violations: Sequence[Violation]) -> None:
         raise TilesetInvalid(first.actual, expected=first.expected, fault=Fault.NEURAL)
 
 
-def _require_drawable(worker: GeneratorWorker) -> None:
+def _require_drawable_model(worker: GeneratorWorker) -> None:
     """Raise if an ONNX generator's Gaussians cannot be blended with those of other tiles."""
     manifest = worker.manifest
     assert manifest.outputs.appearance is not None  # the worker requires it

@@ -45,8 +45,8 @@ def tile_rows(
             not fully transparent lies outside the tile's box.
     """
     linear, origin = transform[:3, :3], transform[:3, 3]
-    moved = _transformed(rows, linear)
-    _require_valid(moved, appearance, origin, box)
+    moved = _transform_rows(rows, linear)
+    _require_valid_rows(moved, appearance, origin, box)
     sh_rows = np.zeros((len(rows), 3 * coefficients(sh_degree)), np.float32)
     harmonics = _harmonics(appearance, space)
     if harmonics.shape[1] > 1 and not np.array_equal(linear, np.eye(3)):
@@ -58,7 +58,7 @@ def tile_rows(
     return TileArrival(tile=tile, rows=moved, appearance=sh_rows, origin=origin)
 
 
-def _transformed(
+def _transform_rows(
     rows: Float[np.ndarray, "n 10"], linear: Float64[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n 10"]:
     """Return packed Gaussians transformed by a 3 × 3 matrix M: covariance Σ becomes M Σ Mᵀ."""
@@ -81,7 +81,7 @@ def _harmonics(
     return appearance.astype(np.float32).reshape(len(appearance), coefficients(degree), 3)
 
 
-def _require_valid(
+def _require_valid_rows(
     rows: Float32[np.ndarray, "n 10"],
     appearance: Float[np.ndarray, "n c"],
     origin: Float64[np.ndarray, " 3"],

@@ -60,12 +60,12 @@ class MetricsRecorder:
         count = len(parent)
         self._parent, self._size = parent, size
         self._selected_tiles = np.zeros(count, bool)
-        self._is_unseen = np.zeros(count, bool)
+        self._is_tile_unseen = np.zeros(count, bool)
         self._wanted_times_by_tile: dict[int, list[float]] = {}
         self._tile_delays: list[float] = []
         self._hit_count = self._frames = self._good_frame_count = self._hole_frame_count = 0
         self._first_good_frame_time = math.nan
-        self._start: float | None = None
+        self._start_seconds: float | None = None
         self._time = 0.0
         self._wasted_bytes = 0
         self.bytes = self.requests = 0
@@ -73,7 +73,7 @@ class MetricsRecorder:
     @property
     def unseen_bytes(self) -> int:
         """The bytes of tiles that arrived but were not seen, and of cancelled requests."""
-        return int(self._size[self._is_unseen].sum()) + self._wasted_bytes
+        return int(self._size[self._is_tile_unseen].sum()) + self._wasted_bytes
 
     def request(self) -> None:
         """Count one request of a streamed tile."""
@@ -82,9 +82,9 @@ class MetricsRecorder:
     def arrive(self, tile: int, time: float) -> None:
         """Record that a streamed tile was received completely at ``time``."""
         self.bytes += int(self._size[tile])
-        if self._is_unseen[tile]:
+        if self._is_tile_unseen[tile]:
             self._wasted_bytes += int(self._size[tile])  # dropped unseen, and asked for again
-        self._is_unseen[tile] = True
+        self._is_tile_unseen[tile] = True
         self._tile_delays += [time - entry for entry in self._wanted_times_by_tile.pop(tile, [])]
 
     def cancel(self, received: int) -> None:
@@ -95,8 +95,8 @@ class MetricsRecorder:
     def frame(self, time: float, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Record the tiles that a frame needs, and the tiles that are loaded."""
         self._time = time
-        self._start = time if self._start is None else self._start
-        self._is_unseen &= ~(cut.seen & loaded)
+        self._start_seconds = time if self._start_seconds is None else self._start_seconds
+        self._is_tile_unseen &= ~(cut.seen & loaded)
         entries = cut.selected & ~self._selected_tiles
         self._selected_tiles = cut.selected.copy()
         hit_count = int((entries & loaded).sum())
@@ -109,7 +109,7 @@ class MetricsRecorder:
         if loaded_count >= GOOD_QUALITY_SHARE * count:
             self._good_frame_count += 1
             if math.isnan(self._first_good_frame_time):
-                self._first_good_frame_time = time - self._start
+                self._first_good_frame_time = time - self._start_seconds
         self._hole_frame_count += self._has_missing_tile(cut.selected, loaded)
 
     def _has_missing_tile(

@@ -235,12 +235,12 @@ class NeuralTiles:
                 be read.
         """
         time = self._clock.now()
-        self._collect(time)
+        self._collect_results(time)
         tiles = self._largest_in_view(
             camera, [tile for tile in drawn if tile in self._contents], time
         )
         inputs = {tile: self._inputs(tile, camera, values) for tile in tiles}
-        self._close_unused(tiles, time)
+        self._close_unused_generators(tiles, time)
         if is_complete:
             self._load(tiles)
         self._run(inputs, camera, time)
@@ -278,7 +278,7 @@ class NeuralTiles:
 
     # ---- 1. What ended
 
-    def _collect(self, time: float) -> None:
+    def _collect_results(self, time: float) -> None:
         for tile, load in list(self._loading_generators.items()):
             if not load.done():
                 continue
@@ -366,7 +366,7 @@ class NeuralTiles:
         }
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
-    def _close_unused(self, tiles: Sequence[int], time: float) -> None:
+    def _close_unused_generators(self, tiles: Sequence[int], time: float) -> None:
         """Close the longest unused ONNX generators to make room for those that this frame needs."""
         for tile in tiles:
             if tile in self._open_generators:

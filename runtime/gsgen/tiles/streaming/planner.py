@@ -95,11 +95,11 @@ class RequestPlanner:
         if self._prefetch:
             self._ledger.frame(pose.time, cut.seen & loaded)
             self._prefetch.observe(pose)
-        for tile in self._requested("prefetched"):
+        for tile in self._tiles_by_purpose("prefetched"):
             if cut.seen[tile]:
                 self._purpose_by_pending_tile[tile] = "needed"
         if self.missing(loaded):
-            for tile in self._requested("prefetched", "finer"):
+            for tile in self._tiles_by_purpose("prefetched", "finer"):
                 if self._fetch_link.progress(tile) < CANCEL_PRIORITY_FRACTION:
                     self._recorder.cancel(self._fetch_link.cancel(tile))
                     del self._purpose_by_pending_tile[tile]
@@ -139,7 +139,7 @@ class RequestPlanner:
         rows = missing_tiles(self._requested_tiles, loaded).tolist()
         return [tile for tile in rows if tile not in self._purpose_by_pending_tile]
 
-    def _requested(self, *purposes: _RequestPurpose) -> list[int]:
+    def _tiles_by_purpose(self, *purposes: _RequestPurpose) -> list[int]:
         """Return the tiles in flight that were requested for one of some purposes."""
         return [
             tile for tile, purpose in self._purpose_by_pending_tile.items() if purpose in purposes
@@ -170,7 +170,7 @@ class RequestPlanner:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""
         if not self._is_bounded:
             return True
-        requested_bytes = int(self._tree.size[self._requested("prefetched")].sum()) + size
+        requested_bytes = int(self._tree.size[self._tiles_by_purpose("prefetched")].sum()) + size
         received, unseen_total = (
             self._recorder.bytes + requested_bytes,
             self._recorder.unseen_bytes + requested_bytes,

@@ -220,7 +220,7 @@ class TilesetSession:
         self._resident_tiles = ResidentTiles(tree, self._slots, self.pool_slots)
         self._tile_fades = TileFades(tree, options.fade_seconds)
         self._is_contentless = np.array([not tile.contents for tile in tree.tiles])
-        self._pending: dict[int, TileArrival] = {}
+        self._pending_arrivals: dict[int, TileArrival] = {}
         self._partial_upload: TileArrival | None = None  # whose rows are not all uploaded
         self._failed_tiles = FailedTiles(len(tree), options.retry_seconds)
         self._started_requests: list[int] = []
@@ -319,7 +319,7 @@ class TilesetSession:
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""
-        if not (self._pending or self._partial_upload):
+        if not (self._pending_arrivals or self._partial_upload):
             self._fetch_link.wait(seconds)
 
     def close(self) -> None:
@@ -351,7 +351,7 @@ class TilesetSession:
                     size = self._qualities.size(result.tile, result.content.quality)
                     self.tree.size[result.tile] = size
                 self._planner.arrive(result.tile, time)
-                self._pending[result.tile] = result.content
+                self._pending_arrivals[result.tile] = result.content
                 continue
             self._planner.fail(result.tile)
             assert result.error is not None
@@ -380,7 +380,7 @@ class TilesetSession:
     def _upload(self, time: float, cut: TileCut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
         """Upload decoded tiles within a frame's budget: visible tiles first, coarse before fine."""
         level, error, seen = self.tree.level, cut.error, cut.seen
-        order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
+        order = sorted(self._pending_arrivals, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
         remaining_bytes = self.upload_budget
@@ -388,10 +388,12 @@ class TilesetSession:
             arrivals.append(self._next_upload(self._partial_upload))
             remaining_bytes -= arrivals[0].upload_bytes
         for tile in order:
-            part = self._pending[tile].next_part(remaining_bytes, self.slot_rows, first_row=0)
+            part = self._pending_arrivals[tile].next_part(
+                remaining_bytes, self.slot_rows, first_row=0
+            )
             if self._partial_upload or (arrivals and part.upload_bytes > remaining_bytes):
                 break
-            del self._pending[tile]
+            del self._pending_arrivals[tile]
             arrival = replace(
                 part,
                 reserved_rows=int(self._reserved_row_count[tile]),
@@ -404,10 +406,10 @@ class TilesetSession:
             arrivals.append(arrival)
             remaining_bytes -= arrival.upload_bytes
             self._partial_upload = None if arrival.is_last else arrival
-        for tile in [tile for tile in reversed(order) if tile in self._pending][
+        for tile in [tile for tile in reversed(order) if tile in self._pending_arrivals][
             :-_MAX_PENDING_UPLOADS
         ]:
-            del self._pending[tile]
+            del self._pending_arrivals[tile]
         return tuple(evicted), tuple(arrivals)
 
     def _next_upload(self, arrival: TileArrival) -> TileArrival:
@@ -440,7 +442,7 @@ class TilesetSession:
         """Request the tiles that the current frame needs."""
         assert self._frustum is not None
         loaded = loaded.copy()
-        loaded[list(self._pending)] = True
+        loaded[list(self._pending_arrivals)] = True
         if self._partial_upload:
             loaded[self._partial_upload.tile] = True
         # What would not fit the pool is not asked for.
@@ -456,7 +458,7 @@ class TilesetSession:
         Without them, a renderer of few frames a second would request few tiles a second.
         """
         row_bytes = pool_row_bytes(3 * coefficients(self.sh_degree))
-        pending_tiles_in_order = [*self._planner.in_flight, *self._pending]
+        pending_tiles_in_order = [*self._planner.in_flight, *self._pending_arrivals]
         remaining_bytes = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(
             self.tree.splats[pending_tiles_in_order].sum()
         )
@@ -474,9 +476,12 @@ class TilesetSession:
             return []
         assert self._frustum is not None
         drawn = cut.selected & self._resident_tiles.resident & ~self._failed_tiles.mask(time)
-        drawn[[*self._pending, *([self._partial_upload.tile] if self._partial_upload else [])]] = (
-            False
-        )
+        drawn[
+            [
+                *self._pending_arrivals,
+                *([self._partial_upload.tile] if self._partial_upload else []),
+            ]
+        ] = False
         ladder, gpu_quality = self._qualities.ladder, self._qualities.gpu_quality
         order = finer_file_order(self.tree, ladder, gpu_quality, drawn, self._frustum.eye)
         return [int(tile) for tile in order]

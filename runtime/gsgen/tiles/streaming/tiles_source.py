@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _POLL_SECONDS: Final = 0.2  # seconds between two looks at what arrived
 _RETRY_SECONDS: Final = 2.0  # where frames wait for all tiles
-_TIME: Final = "time"
+_TIME_INPUT: Final = "time"
 
 
 @final
@@ -67,7 +67,9 @@ class TilesSource(Source):
         self.name, self.up = name, up
         self._neural_tiles = neural
         if neural and (span := neural.time_range):
-            self.inputs = (Input(name=_TIME, role=_TIME, shape=(1,), range=span, default=span[0]),)
+            self.inputs = (
+                Input(name=_TIME_INPUT, role=_TIME_INPUT, shape=(1,), range=span, default=span[0]),
+            )
         self._values: dict[str, object] = {}
         self._session, self._waits_for_tiles, self._extent = session, wait, extent
         channels = 3 * coefficients(session.sh_degree)
@@ -140,7 +142,7 @@ class TilesSource(Source):
             else:
                 reserved_count = max(arrival.reserved_rows, len(arrival.rows))
                 self._pool.insert(*content, reserved_rows=reserved_count)
-        has_rewritten = self._rewrite(frame, camera)
+        has_rewritten = self._rewrite_rows(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
         is_same = (
             self._last_session_frame is not None and self._last_session_frame.drawn == frame.drawn
@@ -150,7 +152,7 @@ class TilesSource(Source):
         self._last_session_frame = frame
         return frame
 
-    def _rewrite(self, frame: SessionFrame, camera: Camera) -> bool:
+    def _rewrite_rows(self, frame: SessionFrame, camera: Camera) -> bool:
         """Write new Gaussians of tiles' ONNX generators into the tiles' slots of the splat pool."""
         if self._neural_tiles is None:
             return False
@@ -241,7 +243,7 @@ class TilesSource(Source):
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of the input ``time`` of a tileset's generators, which have no other input."""
-        if name != _TIME or not self.inputs:
+        if name != _TIME_INPUT or not self.inputs:
             raise KeyError(name)
         return (1,)
 

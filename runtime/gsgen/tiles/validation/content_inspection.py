@@ -179,26 +179,26 @@ class _ContentReader:
     """Reads, decodes and measures content files of tiles; safe to use from many threads."""
 
     def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
-        self._inspected_tileset, self._decode, self._deadline = inspected, decode, deadline
+        self._inspected_tileset, self._decode_content, self._deadline = inspected, decode, deadline
 
     def read(self, tile: Tile | None, content: Content) -> _FileResult:
         """Read a tile's content; splats are decoded unless the time limit has passed."""
-        result = _FileResult(is_late=self._decode and time.monotonic() > self._deadline)
+        result = _FileResult(is_late=self._decode_content and time.monotonic() > self._deadline)
         record = self._inspected_tileset.record
         try:
             store = self._inspected_tileset.store.for_one_tile()
             data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
             if record is not None and content.uri in record.files:
                 result.sha256 = hashlib.sha256(data).hexdigest()
-            container = open_content(data, content.uri, self._fetch(store, content.uri))
+            container = open_content(data, content.uri, self._resource_fetcher(store, content.uri))
             result.header = read_header(container, content.uri, len(data))
-            if self._decode and not result.is_late:
+            if self._decode_content and not result.is_late:
                 result.values = self._values(tile, content, container)
         except TilesetInvalid as error:
             result.error = error
         return result
 
-    def _fetch(self, store: Store, base: str) -> Callable[[str, str, int], bytes]:
+    def _resource_fetcher(self, store: Store, base: str) -> Callable[[str, str, int], bytes]:
         def fetch(uri: str, location: str, size: int) -> bytes:
             path = resolve_uri(base, uri, location)
             return store.read(path, size=size, limit=MAX_CONTENT_BYTES)

@@ -36,8 +36,8 @@ REFINEMENT_PIXELS: Final = 16.0
 
 _CAMERA_DISTANCE_RADII: Final = 2.5  # radii of the tile, with which it fills the picture
 _PICTURE_SIZE_LIMITS: Final = (64, 512)  # the smallest and largest picture, in pixels
-_WINDOW: Final = 16  # pixels: the smallest part of a picture that is compared
-_RGBA = Float32[np.ndarray, "h w 4"]
+_WINDOW_PIXELS: Final = 16  # pixels: the smallest part of a picture that is compared
+_RgbaImage = Float32[np.ndarray, "h w 4"]
 
 
 @final
@@ -112,7 +112,7 @@ def draw_tileset(tileset: Tileset, store: Store, counts: dict[str, int]) -> Draw
     )
     parents = {id(child): parent for parent, child in tileset.pairs()}
     coarse_tiles = [
-        tile for tile in (content_tiles[0], parents.get(id(leaf))) if _is_replaced(tile)
+        tile for tile in (content_tiles[0], parents.get(id(leaf))) if _is_replaced_tile(tile)
     ]
     tiles = [tile_renderer.draw(tile) for tile in _distinct_tiles([content_tiles[0], leaf])]
     levels = [tile_renderer.compare(tile) for tile in _distinct_tiles(coarse_tiles)]
@@ -127,7 +127,7 @@ def _contents_of(tile: Tile) -> list[tuple[Tile, Content]]:
     return [(tile, content) for content in tile.contents]
 
 
-def _is_replaced(tile: Tile | None) -> bool:
+def _is_replaced_tile(tile: Tile | None) -> bool:
     return bool(tile and tile.children and tile.contents and tile.refine == "REPLACE")
 
 
@@ -216,7 +216,7 @@ class _TileRenderer:
             for part in read_tile_content(self._store, self._tileset, owner, content)
         ]
 
-    def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RGBA]:
+    def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RgbaImage]:
         scene = Scene([SplatData.from_splats(splats)])
         pictures = []
         for camera in cameras:
@@ -290,7 +290,7 @@ class _View:
         )
 
 
-def _similarity(a: _RGBA, b: _RGBA) -> float:
+def _similarity(a: _RgbaImage, b: _RgbaImage) -> float:
     """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
     covered_mask = (a[..., 3] > 0) | (b[..., 3] > 0)
     rows, columns = (_covered_slice(np.asarray(covered_mask.any(axis=axis))) for axis in (1, 0))
@@ -301,6 +301,6 @@ def _covered_slice(covered_mask: np.ndarray) -> slice:
     """Return the range of covered pixels along an axis, at least as long as the SSIM window."""
     indices = np.flatnonzero(covered_mask)
     first, last = (int(indices[0]), int(indices[-1])) if len(indices) else (0, 0)
-    missing = max(_WINDOW - (last + 1 - first), 0)
+    missing = max(_WINDOW_PIXELS - (last + 1 - first), 0)
     first = max(first - missing, 0)
-    return slice(first, max(last + 1, first + _WINDOW))
+    return slice(first, max(last + 1, first + _WINDOW_PIXELS))

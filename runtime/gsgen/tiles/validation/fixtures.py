@@ -36,7 +36,9 @@ def tiles_fixtures() -> list[Fixture]:
     return fixtures_in(sys.modules[__name__])
 
 
-def _example(rule: str = "", *, level: Level = Level.VALUES) -> Callable[[DrawTileset], Fixture]:
+def _register_example(
+    rule: str = "", *, level: Level = Level.VALUES
+) -> Callable[[DrawTileset], Fixture]:
     def declare(draw: DrawTileset) -> Fixture:
         return Fixture(
             name=draw.__name__,
@@ -50,19 +52,19 @@ def _example(rule: str = "", *, level: Level = Level.VALUES) -> Callable[[DrawTi
     return declare
 
 
-@_example()
+@_register_example()
 def tiles_good() -> TilesetSketch:
     """Fixture: a valid tileset with a root, two leaves in SPZ 2, and a build record."""
     return explicit_sketch()
 
 
-@_example()
+@_register_example()
 def tiles_good_floats() -> TilesetSketch:
     """Fixture: a valid tileset with a root and two leaves in plain float accessors."""
     return explicit_sketch(codec="khr")
 
 
-@_example()
+@_register_example()
 def tiles_good_globe() -> TilesetSketch:
     """Fixture: a valid tileset on the globe with a root and two leaves."""
     matrix = np.eye(4)
@@ -71,19 +73,19 @@ def tiles_good_globe() -> TilesetSketch:
     return explicit_sketch(transform=matrix)
 
 
-@_example()
+@_register_example()
 def tiles_good_implicit() -> TilesetSketch:
     """Fixture: a valid tileset with an implicit octree of two levels of subtrees."""
     return implicit_sketch()
 
 
-@_example()
+@_register_example()
 def tiles_good_neural() -> TilesetSketch:
     """Fixture: a valid tileset with a leaf tile that also holds an ONNX generator."""
     return _neural_sketch()
 
 
-@_example("GT001")
+@_register_example("GT001")
 def tiles_without_error() -> TilesetSketch:
     """Fixture: a tileset with a leaf that has no geometric error."""
     sketch = explicit_sketch()
@@ -91,7 +93,7 @@ def tiles_without_error() -> TilesetSketch:
     return sketch
 
 
-@_example("GT002")
+@_register_example("GT002")
 def tiles_child_outside() -> TilesetSketch:
     """Fixture: a tileset with a leaf whose box is larger than the root's box."""
     sketch = explicit_sketch()
@@ -100,7 +102,7 @@ def tiles_child_outside() -> TilesetSketch:
     return sketch
 
 
-@_example("GT003")
+@_register_example("GT003")
 def tiles_splats_outside() -> TilesetSketch:
     """Fixture: a tileset with a content box that contains half of the content's splats."""
     sketch = explicit_sketch()
@@ -109,7 +111,7 @@ def tiles_splats_outside() -> TilesetSketch:
     return sketch
 
 
-@_example("GT004")
+@_register_example("GT004")
 def tiles_error_grows() -> TilesetSketch:
     """Fixture: a tileset with an inner tile whose geometric error exceeds the root's."""
     sketch = explicit_sketch()
@@ -124,7 +126,7 @@ def tiles_error_grows() -> TilesetSketch:
     return sketch
 
 
-@_example("GT005")
+@_register_example("GT005")
 def tiles_content_cut_short() -> TilesetSketch:
     """Fixture: a tileset with a truncated leaf file."""
     sketch = explicit_sketch(record=False)
@@ -133,7 +135,7 @@ def tiles_content_cut_short() -> TilesetSketch:
     return sketch
 
 
-@_example("GT006")
+@_register_example("GT006")
 def tiles_counts_differ() -> TilesetSketch:
     """Fixture: a tileset whose metadata declares one splat more than the content has."""
     sketch = explicit_sketch()
@@ -141,7 +143,7 @@ def tiles_counts_differ() -> TilesetSketch:
     return sketch
 
 
-@_example("GT007")
+@_register_example("GT007")
 def tiles_extension_missing() -> TilesetSketch:
     """Fixture: a tileset that does not declare the extension for SPZ."""
     sketch = explicit_sketch()
@@ -150,7 +152,7 @@ def tiles_extension_missing() -> TilesetSketch:
     return sketch
 
 
-@_example("GT008")
+@_register_example("GT008")
 def tiles_hole_in_children() -> TilesetSketch:
     """Fixture: a tileset whose only leaf covers half of the splats of the root tile."""
     sketch = explicit_sketch(record=False)
@@ -161,7 +163,7 @@ def tiles_hole_in_children() -> TilesetSketch:
     return sketch
 
 
-@_example("GT009")
+@_register_example("GT009")
 def tiles_spz_version() -> TilesetSketch:
     """Fixture: a tileset with a leaf in SPZ version 3."""
     sketch = explicit_sketch(record=False)
@@ -185,7 +187,7 @@ def tiles_spz_version() -> TilesetSketch:
     return sketch
 
 
-@_example("GT010")
+@_register_example("GT010")
 def tiles_uri_escapes() -> TilesetSketch:
     """Fixture: a tileset with a content outside the tileset's folder."""
     sketch = explicit_sketch()
@@ -193,7 +195,7 @@ def tiles_uri_escapes() -> TilesetSketch:
     return sketch
 
 
-@_example("GT011")
+@_register_example("GT011")
 def tiles_mirrored() -> TilesetSketch:
     """Fixture: a tileset with a leaf whose transform mirrors."""
     sketch = explicit_sketch()
@@ -202,7 +204,7 @@ def tiles_mirrored() -> TilesetSketch:
     return sketch
 
 
-@_example("GT012")
+@_register_example("GT012")
 def tiles_opacity_above_one() -> TilesetSketch:
     """Fixture: a tileset with an opacity of 1.5."""
     sketch = explicit_sketch(codec="khr", record=False)
@@ -217,7 +219,7 @@ def tiles_opacity_above_one() -> TilesetSketch:
     return sketch
 
 
-@_example("GT013")
+@_register_example("GT013")
 def tiles_subtree_short() -> TilesetSketch:
     """Fixture: a tileset with a subtree that lacks its last bytes."""
     sketch = implicit_sketch()
@@ -226,7 +228,7 @@ def tiles_subtree_short() -> TilesetSketch:
     return sketch
 
 
-@_example("GT014")
+@_register_example("GT014")
 def tiles_leaf_lost() -> TilesetSketch:
     """Fixture: a tileset that declares more splats than its leaves have."""
     sketch = explicit_sketch(record=False)
@@ -234,7 +236,7 @@ def tiles_leaf_lost() -> TilesetSketch:
     return sketch
 
 
-@_example("GT015")
+@_register_example("GT015")
 def tiles_file_changed() -> TilesetSketch:
     """Fixture: a tileset with a file whose digest differs from the build record."""
     sketch = explicit_sketch()
@@ -243,13 +245,13 @@ def tiles_file_changed() -> TilesetSketch:
     return sketch
 
 
-@_example("GT016")
+@_register_example("GT016")
 def tiles_too_many_splats() -> TilesetSketch:
     """Fixture: a tileset with a tile of 262,145 equal splats."""
     return explicit_sketch(leaf_rows=262_145)
 
 
-@_example("GT017")
+@_register_example("GT017")
 def tiles_root_error_zero() -> TilesetSketch:
     """Fixture: a tileset whose root has a geometric error of 0."""
     sketch = explicit_sketch()
@@ -257,7 +259,7 @@ def tiles_root_error_zero() -> TilesetSketch:
     return sketch
 
 
-@_example("GT018")
+@_register_example("GT018")
 def tiles_empty_leaf() -> TilesetSketch:
     """Fixture: a tileset with a leaf without content."""
     sketch = explicit_sketch()
@@ -267,7 +269,7 @@ def tiles_empty_leaf() -> TilesetSketch:
     return sketch
 
 
-@_example("GT019")
+@_register_example("GT019")
 def tiles_draft_names() -> TilesetSketch:
     """Fixture: a tileset whose contents use attribute names of a draft of the glTF extension."""
     sketch = explicit_sketch(codec="khr", record=False)
@@ -284,7 +286,7 @@ def tiles_draft_names() -> TilesetSketch:
     return sketch
 
 
-@_example("GT020")
+@_register_example("GT020")
 def tiles_neural_digest() -> TilesetSketch:
     """Fixture: a tileset with an ONNX generator whose digest differs from the declared one."""
     sketch = _neural_sketch()
@@ -293,7 +295,7 @@ def tiles_neural_digest() -> TilesetSketch:
     return sketch
 
 
-@_example("GT021", level=Level.RENDER)
+@_register_example("GT021", level=Level.RENDER)
 def tiles_invisible_root() -> TilesetSketch:
     """Fixture: a tileset whose root has opacities near 0."""
 
@@ -303,7 +305,7 @@ def tiles_invisible_root() -> TilesetSketch:
     return explicit_sketch(edit_root=fade)
 
 
-@_example("GT022", level=Level.RENDER)
+@_register_example("GT022", level=Level.RENDER)
 def tiles_unlike_root() -> TilesetSketch:
     """Fixture: a tileset whose root has splats ten times as large as those of other tiles."""
 

@@ -79,9 +79,11 @@ def measure_content(
     """
     outside = uncovered = None
     if volume is not None:
-        outside = _merge([_outside_volume(part, volume, to_world) for part in parts])
+        outside = _merge_outside_splats([_outside_volume(part, volume, to_world) for part in parts])
     if children:
-        uncovered = _merge([_outside_children(part, children, margin, to_world) for part in parts])
+        uncovered = _merge_outside_splats(
+            [_outside_children(part, children, margin, to_world) for part in parts]
+        )
     return ContentValues(outside=outside, uncovered=uncovered)
 
 
@@ -131,7 +133,7 @@ def _outside_children(
     return nearest, nearest > 0
 
 
-def _merge(
+def _merge_outside_splats(
     measured: list[tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]],
 ) -> OutsideSplats | None:
     distance = np.concatenate([entry[0] for entry in measured] or [np.zeros(0)])

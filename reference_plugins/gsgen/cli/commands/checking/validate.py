@@ -87,7 +87,7 @@ class Format(StrEnum):
 
 
 # Format → the module in gsgen.contract.reporters, and its function.
-_REPORTERS = {
+_REPORTER_BY_FORMAT = {
     Format.JSON: ("json_report", "to_json"),
     Format.SARIF: ("sarif", "to_sarif"),
     Format.JUNIT: ("junit", "to_junit"),
@@ -219,7 +219,7 @@ def _print(
         else:
             echo_text(text)
         if format is Format.GITHUB:
-            _summarise(entries)
+            _append_job_summary(entries)
         return
     from gsgen.contract.reporters.text import render_all
 
@@ -232,13 +232,13 @@ def _print(
 
 def _format_entries(entries: "list[Entry]", format: Format) -> str:
     """Return a validation report in a machine-readable format, such as JSON or SARIF."""
-    module, name = _REPORTERS[format]
+    module, name = _REPORTER_BY_FORMAT[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
     text: str = reporter(entries)
     return text
 
 
-def _summarise(entries: "list[Entry]") -> None:
+def _append_job_summary(entries: "list[Entry]") -> None:
     """Append the validation reports to the summary page of a GitHub Actions job."""
     path = os.environ.get("GITHUB_STEP_SUMMARY")
     if path:

@@ -152,7 +152,7 @@ def bake(
             clear()
     for note in report.notes:
         echo(f"note: {note}", err=True)
-    echo_json(_as_dict(report)) if as_json else echo(*_as_lines(report))
+    echo_json(_report_as_dict(report)) if as_json else echo(*_report_lines(report))
 
 
 def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
@@ -210,7 +210,7 @@ def _cameras(view: "Viewpoint | None", source: "GeneratorSource") -> "list[Camer
     return [view.camera(source, number, 0.0) for number in range(max(1, len(view.cameras)))]
 
 
-def _as_dict(report: "BakeReport") -> dict[str, object]:
+def _report_as_dict(report: "BakeReport") -> dict[str, object]:
     """Convert a bake's report to JSON types: an infinite PSNR becomes the text ``inf``."""
     document = asdict(report)
     for frame in document["frames"]:
@@ -219,7 +219,7 @@ def _as_dict(report: "BakeReport") -> dict[str, object]:
     return document
 
 
-def _as_lines(report: "BakeReport") -> list[str]:
+def _report_lines(report: "BakeReport") -> list[str]:
     first_frame, last_frame = report.frames[0], report.frames[-1]
     count = sum(frame.count for frame in report.frames)
     size = sum(frame.bytes for frame in report.frames) / (1 << 20)

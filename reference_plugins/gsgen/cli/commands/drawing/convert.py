@@ -151,7 +151,7 @@ def convert(
         write=_writer(codec, spz_version, spz_axes, encoding),
     )
     result, notes = _with_reported_warnings(run, sources)
-    document = _as_dict(result)
+    document = _conversion_as_dict(result)
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
     loss_lines = [
         f"--decimate merged {source_count:,} splats into {result_count:,}: detail is lost"
@@ -164,7 +164,7 @@ def convert(
         return
     for summary in summaries:
         echo(*statistics_text(summary).split("\n"), "")
-    echo(*_as_lines(result, has_edits=bool(edits)), *loss_lines)
+    echo(*_conversion_lines(result, has_edits=bool(edits)), *loss_lines)
 
 
 def _with_reported_warnings(
@@ -262,13 +262,13 @@ def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath],
     return read
 
 
-def _as_dict(result: "Conversion") -> dict[str, object]:
+def _conversion_as_dict(result: "Conversion") -> dict[str, object]:
     document = asdict(result)
     document["degree"] = result.degree and list(result.degree)
     return document
 
 
-def _as_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
+def _conversion_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
     source_mebibytes, result_mebibytes = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.sources.scene_file import SceneFile
 
 _MOTION_SUFFIXES: Final = (".npy", ".npz", ".json")
-_NAMING_SUFFIXES: Final = (".gltf", ".json")  # files of text that name pictures beside them
+_REFERENCING_SUFFIXES: Final = (".gltf", ".json")  # files of text that name pictures beside them
 
 
 def input_files(
@@ -82,7 +82,7 @@ def _motion_files(path: Path) -> Iterator[Path]:
 def _naming_texts(paths: Iterable[Path]) -> Iterator[tuple[Path, bytes]]:
     """Yield the folder and the text of each file that may name pictures: SOG, glTF and materials."""
     for path in paths:
-        texts = [path] if path.suffix.lower() in _NAMING_SUFFIXES and path.is_file() else []
+        texts = [path] if path.suffix.lower() in _REFERENCING_SUFFIXES and path.is_file() else []
         if path.suffix.lower() == ".obj":
             texts = list(path.parent.glob("*.mtl"))
         for text in texts:

@@ -195,7 +195,7 @@ Width = Annotated[
 ]
 
 
-_OPEN_SUFFIXES = (".onnx", ".json")  # of models, and scene files that may name one
+_MODEL_OR_SCENE_SUFFIXES = (".onnx", ".json")  # of models, and scene files that may name one
 _IMAGE_SIZE = re.compile(r"([1-9]\d*)\s*[x×*,]\s*([1-9]\d*)", re.ASCII | re.IGNORECASE)
 
 
@@ -238,7 +238,7 @@ def split_image_size(
 def _invalid_size(entry: str, paths: Sequence[Path]) -> ConfigInvalid:
     picture = "WIDTHxHEIGHT, such as 640x360"
     message = f"{entry!r} is not a size of a picture, expected {picture}"
-    if any(path.suffix.lower() in _OPEN_SUFFIXES for path in paths):
+    if any(path.suffix.lower() in _MODEL_OR_SCENE_SUFFIXES for path in paths):
         message = f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24, or {picture}"
     return ConfigInvalid(message, where="--size")
 

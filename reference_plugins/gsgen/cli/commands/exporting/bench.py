@@ -70,7 +70,7 @@ def bench(
     providers = [str(name) for name in provider or installed_providers()]
     jobs = [(model, provider_name) for model in models for provider_name in providers]
     limits = model_limits(timeout, memory, trust=False)
-    results = _measure(
+    results = _measure_models(
         jobs, frames=frames, sizes=sizes, capture=capture, limits=limits, trusted=trust
     )
     document = _document(results)
@@ -94,7 +94,7 @@ def _require_models(models: list[Path]) -> None:
             require_loadable(model)
 
 
-def _measure(
+def _measure_models(
     jobs: list[tuple[Path, str]],
     *,
     frames: int,

@@ -53,7 +53,7 @@ class _TargetCommands(TyperGroup):
         word, names = args[0], self.list_commands(ctx)
         if word not in names and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
-            return word, _command_for(word, wants_help=wants_help), args[1:]
+            return word, _export_command(word, wants_help=wants_help), args[1:]
         if word not in names and not word.startswith("-"):
             raise _unknown_target_error(word, names, args)
         return super().resolve_command(ctx, args)
@@ -86,7 +86,7 @@ def _is_module(name: str) -> bool:
     return Path(f"{name.replace('.', '/')}.py").is_file()
 
 
-def _command_for(target: str, *, wants_help: bool) -> Any:
+def _export_command(target: str, *, wants_help: bool) -> Any:
     """Return the command that exports ``module:factory``, which is imported when it runs."""
     single_command_app = typer.Typer(add_completion=False)
     entry = typer.Option(

@@ -55,7 +55,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     )
     emit_report(replace(request, dtype=result.dtype), source, outcome)
     if not request.as_json:
-        _show(result)
+        _show_result(result)
 
 
 def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
@@ -137,7 +137,7 @@ def _show_failure(error: GsgenError) -> None:
         echo_error(error)
 
 
-def _show(result: "Exported") -> None:
+def _show_result(result: "Exported") -> None:
     from gsgen.cli.output import show
     from gsgen.contract.reporters.text import render
     from gsgen.contract.spec.units import format_bytes

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.parity import Parity
     from gsgen.sdk.rewriting.rewrite import Change
 
-_SCHEMA = "gsgen-export/1"
+_REPORT_SCHEMA = "gsgen-export/1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> 
     options = {key: _json_value(value) for key, value in asdict(request).items()}
     del options["as_json"]  # says how the report is printed, not what was exported
     document = {
-        "schema": _SCHEMA,
+        "schema": _REPORT_SCHEMA,
         "tool": f"gsgen {version('gsgen')}",
         "source": source,
         "options": options,

@@ -75,8 +75,8 @@ def rewrite(
             model,
             output,
             consumer,
-            only=_split(only),
-            skip=_split(skip),
+            only=_split_names(only),
+            skip=_split_names(skip),
             opset=opset,
             sizes=sizes,
             progress=progress,
@@ -84,10 +84,10 @@ def rewrite(
     if as_json:
         echo_json(_document(result))
         return
-    _show(result)
+    _show_result(result)
 
 
-def _show(result: "RewriteResult") -> None:
+def _show_result(result: "RewriteResult") -> None:
     """Print the report of a graph rewrite, and a warning for outputs that were not compared."""
     for line in _report(result):
         echo(line)
@@ -99,7 +99,7 @@ def _show(result: "RewriteResult") -> None:
         echo(f"gsgen: {names}: {message}", err=True)
 
 
-def _split(names: list[str] | None) -> list[str]:
+def _split_names(names: list[str] | None) -> list[str]:
     return [name for entry in names or () for name in entry.split(",") if name]
 
 

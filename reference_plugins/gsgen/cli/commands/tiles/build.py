@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from gsgen.tiles.build.build import BuildReport
     from gsgen.tiles.build.progress import Progress
 
-_QUALITIES = {1: (0,), 2: (0, 2), 3: (0, 2, 4)}
+_QUALITIES_BY_COUNT = {1: (0,), 2: (0, 2), 3: (0, 2, 4)}
 
 
-_Scenes = Annotated[
+_ScenesArgument = Annotated[
     list[Path],
     typer.Argument(
         help="Files of splats: PLY is read in pieces, other formats as a whole.", show_default=False
@@ -61,13 +61,13 @@ _Neural = Annotated[
 _FreshOption = Annotated[
     bool, typer.Option("--fresh", help="Start from the beginning; do not resume a stopped build.")
 ]
-_AsJson = Annotated[
+_JsonOption = Annotated[
     bool, typer.Option("--json", help="Print progress and result as lines of JSON.")
 ]
 
 
 def build(
-    scenes: _Scenes,
+    scenes: _ScenesArgument,
     output: _Output,
     leaf: _LeafSizeOption = 65_536,
     engine: _Engine = "processes",
@@ -82,7 +82,7 @@ def build(
     height: _Height = None,
     neural: _Neural = None,
     fresh: _FreshOption = False,
-    as_json: _AsJson = False,
+    as_json: _JsonOption = False,
 ) -> None:
     """Build a tileset of SCENES: a tree of tiles, coarse above and fine below.
 
@@ -113,9 +113,9 @@ def build(
     parameters = BuildParameters(
         leaf=leaf,
         codec=codec,
-        qualities=_QUALITIES[quality] if codec == "spz" else (0,),
+        qualities=_QUALITIES_BY_COUNT[quality] if codec == "spz" else (0,),
         implicit=implicit,
-        transform=_transform(transform, lon, lat, height),
+        transform=_tileset_transform(transform, lon, lat, height),
         turn_upright=transform is None,
     )
     generators = [open_generator(path) for path in neural or ()]
@@ -140,7 +140,7 @@ def build(
 
         echo_json({"event": "done", **asdict(report)}, indent=None)
     else:
-        echo(_as_text(report))
+        echo(_report_text(report))
 
 
 def _print_line(line: str) -> None:
@@ -148,7 +148,7 @@ def _print_line(line: str) -> None:
     sys.stdout.flush()
 
 
-def _transform(
+def _tileset_transform(
     path: Path | None, lon: float | None, lat: float | None, height: float | None
 ) -> tuple[float, ...]:
     from gsgen.tiles.build.frame import globe_transform, read_transform, upright_transform
@@ -171,7 +171,7 @@ def _transform(
     return upright_transform()
 
 
-def _as_text(report: "BuildReport") -> str:
+def _report_text(report: "BuildReport") -> str:
     size = f"{report.bytes / 1e6:,.1f} MB"
     if report.up_to_date:
         return f"{report.output}: up to date, {report.splats:,} splats, {size}"

@@ -35,10 +35,10 @@ def info(
     if as_json:
         echo_json(asdict(tileset_info))
     else:
-        echo(*_as_lines(tileset, tileset_info))
+        echo(*_tileset_lines(tileset, tileset_info))
 
 
-def _as_lines(name: str, tileset_info: "TilesetInfo") -> list[str]:
+def _tileset_lines(name: str, tileset_info: "TilesetInfo") -> list[str]:
     """Return a summary of a tileset and a table of its levels, as lines of text."""
     low, high = tileset_info.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))

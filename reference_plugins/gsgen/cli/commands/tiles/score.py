@@ -62,10 +62,10 @@ def score(
         document = {"splats": result.splats, "levels": [asdict(entry) for entry in result.levels]}
         echo_json(document | {"picture": str(output)})
     else:
-        echo(*_as_lines(result, output))
+        echo(*_score_lines(result, output))
 
 
-def _as_lines(result: "TilesetScore", output: Path) -> list[str]:
+def _score_lines(result: "TilesetScore", output: Path) -> list[str]:
     """Return the scores of a tileset's levels as the lines of a table, finest level first."""
     names = list(result.levels[0].ssim)
     header_line = f"{'level':>5} {'tiles':>7} {'splats':>11} {'share':>7} {'MiB':>9}"

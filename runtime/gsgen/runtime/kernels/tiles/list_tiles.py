@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
-_INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
+_WORKGROUP_INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
 _MAX_WORKGROUPS: Final = 32
 _MIN_WORKGROUPS: Final = 8
 _MAX_RUN_COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
@@ -19,8 +19,10 @@ _MAX_RUN_COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
 
 def run_count(tiles: int) -> int:
     """Return into how many parts the sorted splats are divided to be listed by image tile."""
-    return _INVOCATIONS * int(
-        np.clip(_MAX_RUN_COUNTERS // (_INVOCATIONS * tiles), _MIN_WORKGROUPS, _MAX_WORKGROUPS)
+    return _WORKGROUP_INVOCATIONS * int(
+        np.clip(
+            _MAX_RUN_COUNTERS // (_WORKGROUP_INVOCATIONS * tiles), _MIN_WORKGROUPS, _MAX_WORKGROUPS
+        )
     )
 
 
@@ -44,7 +46,7 @@ class ListTiles:
                 "list_tiles",
                 "walk",
                 ("urrrwwrrw",),
-                THREADS=_INVOCATIONS,
+                THREADS=_WORKGROUP_INVOCATIONS,
                 LISTS=lists,
                 **constants,
             )
@@ -53,7 +55,7 @@ class ListTiles:
         self._tile_total_kernel, self._begin_kernel = (
             Kernel(
                 device, "list_ranges", entry, ("urwww",),
-                THREADS=THREADS_PER_WORKGROUP, RUNS=_INVOCATIONS, **constants,
+                THREADS=THREADS_PER_WORKGROUP, RUNS=_WORKGROUP_INVOCATIONS, **constants,
             )
             for entry in ("total", "begin")
         )  # fmt: skip
@@ -71,7 +73,7 @@ class ListTiles:
             walk_buffers: Resources of ``list_tiles.wgsl``, in order.
             range_buffers: Resources of ``list_ranges.wgsl``, in order.
         """
-        run_groups = (run_count(tiles) // _INVOCATIONS, 1, 1)
+        run_groups = (run_count(tiles) // _WORKGROUP_INVOCATIONS, 1, 1)
         tile_groups = (-(-tiles // THREADS_PER_WORKGROUP), 1, 1)
         return (
             Step(self._tally_kernel, (self._tally_kernel.bind(*walk_buffers),), run_groups),

@@ -18,7 +18,7 @@ _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 _START_SECONDS = 20
-_SETTINGS: Final = {
+_DASK_SETTINGS: Final = {
     # A worker may die for reasons other than the task that it ran.
     "distributed.scheduler.allowed-failures": MAX_RETRIES,
     # Profiles, which take a stack sample every 10 ms, are not used.
@@ -55,8 +55,8 @@ class DaskEngine(Engine):
                 where="--engine",
                 hint="pip install 'gsgen[cluster]'",
             ) from error
-        self._distributed: Any = distributed
-        self._address, self._workers = address, workers
+        self._dask_distributed: Any = distributed
+        self._scheduler_address, self._workers = address, workers
         self._client: Any = None
         self._cluster: Any = None
         self._environment = ExitStack()
@@ -69,24 +69,26 @@ class DaskEngine(Engine):
         """
         import dask
 
-        dask.config.set(_SETTINGS)
+        dask.config.set(_DASK_SETTINGS)
         self._environment.enter_context(safe_multiprocessing())
         try:
-            if self._address is None:
-                self._cluster = self._distributed.LocalCluster(
+            if self._scheduler_address is None:
+                self._cluster = self._dask_distributed.LocalCluster(
                     n_workers=self._workers,
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address=None,
                     silence_logs="CRITICAL",
                 )
-            self._client = self._distributed.Client(
-                self._cluster or self._address, timeout=_START_SECONDS, set_as_default=False
+            self._client = self._dask_distributed.Client(
+                self._cluster or self._scheduler_address,
+                timeout=_START_SECONDS,
+                set_as_default=False,
             )
         except (OSError, TimeoutError, ValueError) as error:
             raise EngineFailed(
                 f"no Dask scheduler can be used: {error}",
-                where=f"dask={self._address or ''}",
+                where=f"dask={self._scheduler_address or ''}",
                 hint="Start one: `dask scheduler`, then `dask worker ADDRESS`.",
             ) from error
         return self
@@ -107,9 +109,9 @@ class DaskEngine(Engine):
         ]
         index = {future.key: number for number, future in enumerate(futures)}
         try:
-            for future in self._distributed.as_completed(futures, loop=self._client.loop):
+            for future in self._dask_distributed.as_completed(futures, loop=self._client.loop):
                 yield index[future.key], future.result()
-        except self._distributed.scheduler.KilledWorker as error:
+        except self._dask_distributed.scheduler.KilledWorker as error:
             raise EngineFailed(
                 f"Dask workers died repeatedly: {error}",
                 hint="A task may need more memory than a worker has.",

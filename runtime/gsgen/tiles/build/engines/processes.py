@@ -36,12 +36,12 @@ class Processes(Engine):
         self._environment.close()
         if self._pool is not None:
             if error[0] is not None:
-                self._stop(self._pool)
+                self._stop_pool(self._pool)
             self._pool.shutdown(wait=error[0] is None, cancel_futures=True)
             self._pool = None
 
     @staticmethod
-    def _stop(pool: ProcessPoolExecutor) -> None:
+    def _stop_pool(pool: ProcessPoolExecutor) -> None:
         for process in list((getattr(pool, "_processes", None) or {}).values()):
             process.terminate()
 

@@ -15,7 +15,15 @@ import numpy as np
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonObject
 
-_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_NUMBER_COUNT_BY_TYPE: Final = {
+    "SCALAR": 1,
+    "VEC2": 2,
+    "VEC3": 3,
+    "VEC4": 4,
+    "MAT2": 4,
+    "MAT3": 9,
+    "MAT4": 16,
+}
 _DTYPE_BY_COMPONENT: Final = {
     "INT8": "i1", "UINT8": "u1", "INT16": "<i2", "UINT16": "<u2", "INT32": "<i4",
     "UINT32": "<u4", "INT64": "<i8", "UINT64": "<u8", "FLOAT32": "<f4", "FLOAT64": "<f8",
@@ -50,7 +58,7 @@ def _read_class(entry: JsonObject) -> PropertyClass:
     for name in properties.values if properties else ():
         assert properties is not None
         column = properties.child(name)
-        width = _WIDTHS.get(str(column.values.get("type")))
+        width = _NUMBER_COUNT_BY_TYPE.get(str(column.values.get("type")))
         dtype = _DTYPE_BY_COMPONENT.get(str(column.values.get("componentType")))
         count = 1
         if column.values.get("array"):

@@ -197,7 +197,7 @@ class _Reader:
         self._binary, self._read = binary, read
         self._buffers = list(document.objects("buffers"))
         self._buffer_views = list(document.objects("bufferViews"))
-        self._loaded: dict[int, bytes] = {}
+        self._loaded_buffers: dict[int, bytes] = {}
 
     def availability(self, entry: JsonObject, count: int) -> BitArray:
         """Read ``count`` availability bits of a subtree, stored as one constant or a bitstream."""
@@ -231,7 +231,7 @@ class _Reader:
             entry.refuse(key, f"less than {len(self._buffer_views)}, the number of buffer views")
         view = self._buffer_views[index]
         start, size = view.whole("byteOffset"), view.whole("byteLength")
-        data = self._buffer(view)
+        data = self._read_buffer(view)
         if start + size > len(data):
             raise _mismatch_error(
                 f"the buffer view ends at byte {start + size}",
@@ -240,11 +240,11 @@ class _Reader:
             )
         return data[start : start + size]
 
-    def _buffer(self, view: JsonObject) -> bytes:
+    def _read_buffer(self, view: JsonObject) -> bytes:
         index = view.whole("buffer")
         if index >= len(self._buffers):
             view.refuse("buffer", f"less than {len(self._buffers)}, the number of buffers")
-        if index not in self._loaded:
+        if index not in self._loaded_buffers:
             entry = self._buffers[index]
             size = entry.whole("byteLength")
             data = self._binary
@@ -254,8 +254,8 @@ class _Reader:
                 raise _mismatch_error(
                     f"the buffer of the subtree has {len(data)} bytes", entry.location, f"{size}"
                 )
-            self._loaded[index] = data[:size]
-        return self._loaded[index]
+            self._loaded_buffers[index] = data[:size]
+        return self._loaded_buffers[index]
 
     def table(
         self,

@@ -20,8 +20,8 @@ from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume, read_volume
 
 MAX_LEVELS: Final = 24
-_SCHEMES: Final = {"QUADTREE": 2, "OCTREE": 3}
-_VOLUMES: Final = {"box": 12, "sphere": 4, "region": 6}
+_AXIS_COUNT_BY_SCHEME: Final = {"QUADTREE": 2, "OCTREE": 3}
+_NUMBER_COUNT_BY_VOLUME: Final = {"box": 12, "sphere": 4, "region": 6}
 
 
 class TileCoordinates(NamedTuple):
@@ -91,8 +91,8 @@ def read_implicit(
     """Parse ``implicitTiling``, a member of a tile's JSON, into an implicit tree."""
     entry = tile.child("implicitTiling")
     scheme = entry.values.get("subdivisionScheme")
-    if not isinstance(scheme, str) or scheme not in _SCHEMES:
-        entry.refuse("subdivisionScheme", " or ".join(_SCHEMES))
+    if not isinstance(scheme, str) or scheme not in _AXIS_COUNT_BY_SCHEME:
+        entry.refuse("subdivisionScheme", " or ".join(_AXIS_COUNT_BY_SCHEME))
     if isinstance(volume, Sphere):
         raise TilesetInvalid(
             "the volume of the tile is a sphere",
@@ -102,7 +102,7 @@ def read_implicit(
     levels_key = "availableLevels" if "availableLevels" in entry else "maximumLevel"
     levels = entry.whole(levels_key, least=1, most=MAX_LEVELS)
     subtree_levels = entry.whole("subtreeLevels", least=1, most=MAX_LEVELS)
-    dimensions = _SCHEMES[scheme]
+    dimensions = _AXIS_COUNT_BY_SCHEME[scheme]
     if tile_count(2**dimensions, subtree_levels) > MAX_BITS:
         entry.refuse("subtreeLevels", f"subtrees of {MAX_BITS:,} tiles or fewer")
     contents = [tile.child("content")] if "content" in tile else []
@@ -284,7 +284,7 @@ def _tile(
 
 def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
     """Return the bounding volume that the metadata of a tile or content declares, or None."""
-    for kind, width in _VOLUMES.items():
+    for kind, width in _NUMBER_COUNT_BY_VOLUME.items():
         name = f"{owner}_BOUNDING_{kind.upper()}"
         if name in values:
             numbers = np.atleast_1d(np.asarray(values[name], np.float64))

@@ -33,7 +33,7 @@ SUBTREE_LEVELS: Final = 5
 _CHILDREN_PER_TILE = 8
 _SUBTREE_URI = "s/{level}/{x}_{y}_{z}.subtree"
 _SUBTREE_HEADER = struct.Struct("<4sIQQ")
-_ALIGNMENT = 8
+_VIEW_ALIGNMENT = 8
 
 
 def implicit_uri(level: int, coordinates: tuple[int, int, int], quality: int = 0) -> str:
@@ -74,7 +74,7 @@ def write_implicit_tileset(
     """
     tiles: list[_Cell] = []
     oversized: list[TileRecord] = []
-    low, high = _collect(root, quality, tiles, oversized)
+    low, high = _collect_cells(root, quality, tiles, oversized)
     wrapper_tile = TileRecord(
         level=0,
         coordinates=(0, 0, 0),
@@ -121,7 +121,7 @@ def _content(record: TileRecord, quality: int) -> ContentRecord | None:
     return record.contents[min(quality, len(record.contents) - 1)]
 
 
-def _collect(
+def _collect_cells(
     record: TileRecord, quality: int, cells: list[_Cell], oversized: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Append an octree tile and its descendants to ``cells``; return the tile's bounding box."""
@@ -139,7 +139,7 @@ def _collect(
             for entry in child.contents:
                 below = np.minimum(below[0], entry.low), np.maximum(below[1], entry.high)
         else:
-            below = _collect(child, quality, cells, oversized)
+            below = _collect_cells(child, quality, cells, oversized)
         low, high = np.minimum(low, below[0]), np.maximum(high, below[1])
     cells.append(_Cell(record, low, high))
     return low, high
@@ -272,7 +272,7 @@ class _SubtreeWriter:
     def _view(self, data: bytes) -> int:
         view = {"buffer": 0, "byteLength": len(data), "byteOffset": len(self._data)}
         self._buffer_views.append(view)
-        self._data += data + bytes(-len(data) % _ALIGNMENT)
+        self._data += data + bytes(-len(data) % _VIEW_ALIGNMENT)
         return len(self._buffer_views) - 1
 
     def file(self, document: JsonDict) -> bytes:
@@ -282,6 +282,6 @@ class _SubtreeWriter:
             values["buffers"] = [{"byteLength": len(self._data)}]
             values["bufferViews"] = self._buffer_views
         text = json_bytes(values)
-        text += b" " * (-len(text) % _ALIGNMENT)
+        text += b" " * (-len(text) % _VIEW_ALIGNMENT)
         header = _SUBTREE_HEADER.pack(b"subt", 1, len(text), len(self._data))
         return header + text + bytes(self._data)
