@@ -143,9 +143,9 @@ class UnknownName(ConfigInvalid):
 
         names = sorted(known)
         close_matches = get_close_matches(name, names, n=1, cutoff=0.5)
-        is_short = len(names) <= _MAX_LISTED_NAMES
+        is_short_list = len(names) <= _MAX_LISTED_NAMES
         nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
         examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."
-        known_text = f"Known: {', '.join(names) or 'none'}." if is_short else examples_text
+        known_text = f"Known: {', '.join(names) or 'none'}." if is_short_list else examples_text
         hint = f"Did you mean {close_matches[0]!r}?" if close_matches else known_text
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

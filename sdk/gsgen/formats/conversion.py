@@ -222,8 +222,8 @@ def merge_splats(parts: Sequence[Splats]) -> Splats:
 
 
 def _total_bytes(paths: Sequence[FilePath]) -> int:
-    is_known = all(Path(path).is_file() and not names_tileset(path) for path in paths)
-    return sum(map(written_bytes, paths)) if is_known else 0
+    are_sizes_known = all(Path(path).is_file() and not names_tileset(path) for path in paths)
+    return sum(map(written_bytes, paths)) if are_sizes_known else 0
 
 
 def _point_cloud_error(path: FilePath, expected: str) -> NotSupported:

@@ -187,11 +187,11 @@ def _find_file_in_folder(folder: Path) -> Path:
 
 
 def _several_files_error(noun: str, names: Sequence[str]) -> NotSupported:
-    listed = ", ".join(names[:_MAX_LISTED_FILES]) + (
+    listed_files = ", ".join(names[:_MAX_LISTED_FILES]) + (
         ", …" if len(names) > _MAX_LISTED_FILES else ""
     )
     return NotSupported(
-        f"the {noun} holds {len(names)} files of splats: {listed}",
+        f"the {noun} holds {len(names)} files of splats: {listed_files}",
         expected="one file of splats",
         hint="Name one of them." if noun == "folder" else "Unpack it, and name one of them.",
     )
@@ -270,8 +270,8 @@ def _content_from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileCon
 def _is_content(entry: zipfile.ZipInfo) -> bool:
     """Return whether a member of an archive is a file that its author put there."""
     parts = PurePosixPath(entry.filename).parts
-    is_hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
-    return not entry.is_dir() and entry.file_size > 0 and not is_hidden
+    is_hidden_entry = any(part.startswith(".") or part == "__MACOSX" for part in parts)
+    return not entry.is_dir() and entry.file_size > 0 and not is_hidden_entry
 
 
 def _strip_common_folder(name: str, entries: Sequence[zipfile.ZipInfo]) -> str:

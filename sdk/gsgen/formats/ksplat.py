@@ -257,5 +257,5 @@ def _harmonics(
     first_band, second_band = values[:, :9], values[:, 9:]
     degrees = [part.reshape(len(part), 3, -1) for part in (first_band, second_band) if part.size]
     coefficients = [part.swapaxes(1, 2) for part in degrees]
-    empty = np.empty((len(stored), 0, 3), np.float32)
-    return np.concatenate([empty, *coefficients], axis=1).astype(np.float32)
+    empty_sh = np.empty((len(stored), 0, 3), np.float32)
+    return np.concatenate([empty_sh, *coefficients], axis=1).astype(np.float32)

@@ -19,10 +19,10 @@ def checks() -> Iterator[Check]:
     yield check_package(
         "onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE_CHECK_NAME
     )
-    yield _adapter()
+    yield _check_adapter()
 
 
-def _adapter() -> Check:
+def _check_adapter() -> Check:
     """Run a minimal model in ONNX Runtime's WebGPU provider, in a child process."""
     from gsgen.sdk.live.level import survey
 

@@ -90,8 +90,8 @@ class ModelOutput:
         per_cell = len(self.rows) // max(cells, 1)
 
         def thin_array(array: np.ndarray) -> np.ndarray:
-            grouped = array.reshape(cells, per_cell, -1)[::step]
-            return grouped.reshape(-1, array.shape[1])
+            grouped_array = array.reshape(cells, per_cell, -1)[::step]
+            return grouped_array.reshape(-1, array.shape[1])
 
         live_count = np.clip(self.count - per_cell * np.arange(0, cells, step), 0, per_cell).sum()
         thinned_cells = None if self.cells is None else self.cells[::step]
@@ -244,8 +244,8 @@ def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool
 def _arrays_agree(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) -> bool:
     if a is None or b is None or a.shape != b.shape:
         return a is b
-    floor = tolerance * _ABSOLUTE_SIZE
-    return np.allclose(a, b, rtol=tolerance, atol=floor, equal_nan=True)
+    absolute_tolerance_floor = tolerance * _ABSOLUTE_SIZE
+    return np.allclose(a, b, rtol=tolerance, atol=absolute_tolerance_floor, equal_nan=True)
 
 
 def _is_reference_finite(reference: Reference) -> bool:

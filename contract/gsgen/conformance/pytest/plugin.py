@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _MARKER_NAME = "gsgen_rules"
 _CLASS_MODULE = "gsgen.conformance.pytest.generator"  # loaded if a test inherits from our class
-_SUFFIX = ".onnx"
+_COLLECTED_SUFFIX = ".onnx"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -82,12 +82,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Collector | None":
     """Collect the ONNX files that ``--gsgen`` names."""
-    if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
+    if file_path.suffix != _COLLECTED_SUFFIX and not parent.config.getoption("--gsgen"):
         return None
     paths = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
     is_named_on_command_line = bool(paths) and parent.session.isinitpath(file_path)
     if file_path.resolve() not in paths and not (
-        is_named_on_command_line and file_path.suffix == _SUFFIX
+        is_named_on_command_line and file_path.suffix == _COLLECTED_SUFFIX
     ):
         return None
     from gsgen.conformance.pytest.items import ModelFile

@@ -34,7 +34,7 @@ COMMON_FAULTS: Final = ("rows", "dilation", "encoded-twice")
 COMMON_SH_FAULTS: Final = (*COMMON_FAULTS, "sh-offset", "sh-stride")
 """The faults that spoil every case with SH of a degree below 3 and more than one row."""
 
-_NEAR_PLANE: Final = 0.01
+_NEAR_PLANE_DISTANCE: Final = 0.01
 _FOCAL_PIXELS: Final = 60.0
 
 
@@ -60,7 +60,7 @@ class KitCamera:
     cy: float = HEIGHT / 2
     width: int = WIDTH
     height: int = HEIGHT
-    near: float = _NEAR_PLANE
+    near: float = _NEAR_PLANE_DISTANCE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -184,13 +184,13 @@ def _undo_prediction(
     for i, difference in enumerate(line.tolist()):
         left_value, upper_value, upper_left = current_line[i], line_above[i + step], line_above[i]
         if method == 3:
-            predicted = (left_value + upper_value) // 2
+            predicted_value = (left_value + upper_value) // 2
         else:
             paeth_estimate = left_value + upper_value - upper_left
-            predicted = min(
+            predicted_value = min(
                 (left_value, upper_value, upper_left), key=lambda value: abs(paeth_estimate - value)
             )
-        current_line.append((difference + predicted) & 255)
+        current_line.append((difference + predicted_value) & 255)
     return current_line[step:]
 
 

@@ -73,14 +73,14 @@ def _decoy_output_model() -> ModelSpec:
     """Return a model whose first output looks like Gaussians; its manifest names the second."""
     model = still(8)
     rows = model.weights["rows"]
-    moved_rows = np.array(rows)
-    moved_rows[:, :3] = -moved_rows[:, 2::-1]
+    reordered_rows = np.array(rows)
+    reordered_rows[:, :3] = -reordered_rows[:, 2::-1]
     renamed_outputs = model.replace_text(
         "float[8,10] gaussians", "float[8,10] old, float[8,10] gaussians"
     )
     return renamed_outputs.replace_text(
         "gaussians = Identity (rows)", "old = Identity (old_rows) gaussians = Identity (rows)"
-    ).with_weights(old_rows=moved_rows)
+    ).with_weights(old_rows=reordered_rows)
 
 
 def _weighted_sum_model() -> ModelSpec:

@@ -96,7 +96,7 @@ class WebClient:
         headers: Mapping[str, str] | None = None,
         allow_origins: Sequence[str] = (),
     ) -> None:
-        self._home_origin = _parse(home_address).origin
+        self._home_origin = _parse_address(home_address).origin
         self._allowed_origins = {self._home_origin} | {
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }
@@ -234,7 +234,7 @@ class WebClient:
         self, method: str, address: str, headers: Mapping[str, str], deadline: Deadline
     ) -> Iterator[tuple[HTTPResponse, WebConnection]]:
         """Send a request, follow its redirects, and release the connection in the end."""
-        target, current_address = _parse(address), address
+        target, current_address = _parse_address(address), address
         for _ in range(_MAX_REDIRECTS + 1):
             connection, response = self._send_request(method, target, address, headers, deadline)
             try:
@@ -347,7 +347,7 @@ class WebClient:
             ) from error
 
 
-def _parse(address: str) -> WebAddress:
+def _parse_address(address: str) -> WebAddress:
     try:
         return parse_address(address)
     except ValueError as error:

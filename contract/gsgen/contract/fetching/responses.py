@@ -66,17 +66,17 @@ class FilePart:
 
     def select(self, chunks: Iterator[bytes], before: int, budget: int) -> Iterator[bytes]:
         """Yield the requested bytes of a response's pieces; raise if there are too many."""
-        position, taken = 0, 0
+        position, received_byte_count = 0, 0
         for chunk in chunks:
             piece = chunk[max(0, before - position) :]
             position += len(chunk)
             if self.size is not None:
-                piece = piece[: self.size - taken]
-            taken += len(piece)
-            if taken > budget:
-                raise self._too_large_error(f"{taken:,} bytes or more", budget)
+                piece = piece[: self.size - received_byte_count]
+            received_byte_count += len(piece)
+            if received_byte_count > budget:
+                raise self._too_large_error(f"{received_byte_count:,} bytes or more", budget)
             yield piece
-            if taken == self.size:
+            if received_byte_count == self.size:
                 return
 
     def _too_large_error(self, actual: str, budget: int) -> ResponseTooLarge:

@@ -151,13 +151,13 @@ class Graph:
 
     def _trace_ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
         names, nodes, queue = {name}, [], [name]
-        visited: set[int] = set()
+        visited_keys: set[int] = set()
         while queue:
             node = self.producers.get(queue.pop())
             key = id(node)
-            if node is None or key in visited:
+            if node is None or key in visited_keys:
                 continue
-            visited.add(key)
+            visited_keys.add(key)
             nodes.append(node)
             for name in self._names_read_by_node[key]:
                 if name not in names:
@@ -282,7 +282,7 @@ def _proto_without_stub_tensors(file: ModelFile) -> ModelProto:
     for body in bodies(copy):
         if isinstance(body, GraphProto):
             for tensor in _remove_stubs(body):
-                body.node.insert(0, _constant(tensor))
+                body.node.insert(0, _constant_node(tensor))
         _fill_nodes(body)
     return copy
 
@@ -321,7 +321,7 @@ def _add_input(graph: GraphProto, tensor: TensorProto) -> None:
         value.type.tensor_type.shape.dim.add(dim_value=dim)
 
 
-def _constant(tensor: TensorProto) -> NodeProto:
+def _constant_node(tensor: TensorProto) -> NodeProto:
     value = AttributeProto(name="value", type=AttributeProto.TENSOR, t=tensor)
     return NodeProto(op_type="Constant", output=[tensor.name], attribute=[value])
 
@@ -334,7 +334,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
             for tensor in (attribute.t, *attribute.tensors):
                 if _is_stub_tensor(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
                     if not tensor.dims:  # a sparse tensor needs an axis, which a scalar lacks
-                        body.node.insert(index + 1, _squeeze(node))
+                        body.node.insert(index + 1, _squeeze_node(node))
                     _make_sparse(attribute, tensor)
                 elif _is_stub_tensor(tensor):
                     tensor.CopyFrom(_empty_tensor(tensor.data_type))
@@ -342,7 +342,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
                 _clear_sparse(sparse)
 
 
-def _squeeze(node: NodeProto) -> NodeProto:
+def _squeeze_node(node: NodeProto) -> NodeProto:
     """Make a scalar output a vector of length 1; return a Squeeze that restores the scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"

@@ -171,7 +171,7 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
             stripped_model = _strip_weights(path, view)
     except OSError as error:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=str(path)) from error
-    proto = _parse(path, stripped_model.data)
+    proto = _parse_model(path, stripped_model.data)
     parts = list(bodies(proto))
     _check_texts(path, proto, parts)
     detached_weights = list(_detach_external_weights(parts))
@@ -216,7 +216,7 @@ def _strip_weights(path: Path, view: mmap.mmap) -> StrippedModel:
             raise _not_onnx_error(path, f"is damaged or cut off at {fault}") from fault
 
 
-def _parse(path: Path, data: bytes) -> ModelProto:
+def _parse_model(path: Path, data: bytes) -> ModelProto:
     try:
         proto = ModelProto.FromString(data)
     except (DecodeError, RecursionError) as error:

@@ -58,12 +58,12 @@ def operators_changed_since(proto: ModelProto, opset: int) -> tuple[str, ...]:
 
 def _nodes(proto: ModelProto) -> Iterator[NodeProto]:
     """Yield the nodes of a model, of its subgraphs and of its functions."""
-    pending = [*proto.graph.node]
+    pending_nodes = [*proto.graph.node]
     for function in proto.functions:
-        pending += function.node
-    while pending:
-        node = pending.pop()
+        pending_nodes += function.node
+    while pending_nodes:
+        node = pending_nodes.pop()
         yield node
         for attribute in node.attribute:
             for graph in subgraphs(attribute):
-                pending += graph.node
+                pending_nodes += graph.node

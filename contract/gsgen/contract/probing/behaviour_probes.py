@@ -151,12 +151,12 @@ def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Ite
     """Yield test inputs at instants over the time range, and at close pairs of instants."""
     assert entry.range is not None
     low, high = entry.range
-    is_short = entry.frames is None and 0 < high - low <= _MAX_UNIT_RANGE
-    if is_short or len(manifest.inputs) > 1:  # otherwise the first probes hold such instants
+    is_short_range = entry.frames is None and 0 < high - low <= _MAX_UNIT_RANGE
+    if is_short_range or len(manifest.inputs) > 1:  # otherwise the first probes hold such instants
         yield from (
             _probe_at_fraction(entry, base, range_fraction) for range_fraction in _SAMPLE_TIMES
         )
-    if is_short:
+    if is_short_range:
         range_fraction = (float(base.inputs[entry.name].reshape(-1)[0]) - low) / (high - low)
         yield from (
             _probe_at_fraction(entry, base, start + _SMALL_TIME_STEP)

@@ -141,14 +141,16 @@ def _convention_misfit_mask(
     opacity, upper = rows[:, 3], rows[:, 4:]
     is_opacity = (opacity >= -_UNIT_RANGE_TOLERANCE) & (opacity <= 1 + _UNIT_RANGE_TOLERANCE)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
-    is_fitting = is_opacity & (
+    fitting_mask = is_opacity & (
         smallest_eigenvalue(upper) >= -_EIGENVALUE_SLACK * size - rounding_error
     )
     xx, yy, zz = np.maximum(upper[:, [0, 3, 5]].T, 0) + rounding_error
     xy, xz, yz = np.abs(upper[:, [1, 2, 4]].T)
     for covariance, variances in ((xy, xx * yy), (xz, xx * zz), (yz, yy * zz)):
-        is_fitting &= covariance <= _MAX_CORRELATION * np.sqrt(variances) + rounding_error
-    return np.asarray(~is_fitting if bounds is None else ~is_fitting | _outside_mask(rows, bounds))
+        fitting_mask &= covariance <= _MAX_CORRELATION * np.sqrt(variances) + rounding_error
+    return np.asarray(
+        ~fitting_mask if bounds is None else ~fitting_mask | _outside_mask(rows, bounds)
+    )
 
 
 def _is_opacity_alone(rows: Float[np.ndarray, "n 10"], rounding_error: float) -> bool:
@@ -180,8 +182,8 @@ def _quaternion_layouts(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.nd
     def misfit_mask(scale: slice, quaternion: slice, *, log: bool) -> Bool[np.ndarray, " n"]:
         length = np.linalg.norm(rows[:, quaternion], axis=1)
         low, high = _LOG_SCALES if log else (0.0, np.inf)
-        is_fitting = ((rows[:, scale] >= low) & (rows[:, scale] <= high)).all(axis=1)
-        return np.asarray(~(is_fitting & (np.abs(length - 1) <= _UNIT_RANGE_TOLERANCE)))
+        fitting_mask = ((rows[:, scale] >= low) & (rows[:, scale] <= high)).all(axis=1)
+        return np.asarray(~(fitting_mask & (np.abs(length - 1) <= _UNIT_RANGE_TOLERANCE)))
 
     first, last = (slice(3, 6), slice(6, 10)), (slice(7, 10), slice(3, 7))
     return {

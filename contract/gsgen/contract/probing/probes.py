@@ -36,7 +36,7 @@ INPUT_PREFIX = "input "
 # depends on either must show it.
 _VIEWPORT_SIZES = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
 _FOV_RANGE = (np.deg2rad(50.0), np.deg2rad(70.0))
-_NEAR_PLANE, _FAR_PLANE = 0.01, 1000.0
+_NEAR_PLANE_DISTANCE, _FAR_PLANE_DISTANCE = 0.01, 1000.0
 # Bounds beyond this count as unknown; its square is still a finite float32.
 _MAX_COORDINATE = 1e18
 # Distance of probe cameras from the centre, in half diagonals of the bounds.
@@ -111,7 +111,7 @@ def default_probes(
         rng = np.random.default_rng([seed, index])
         range_fraction = index / (count - 1)
         inputs = {
-            i.name: _cast(
+            i.name: _cast_array(
                 _sample_input(i, manifest, shapes[i.name], range_fraction, rng), dtypes[i.name]
             )
             for i in manifest.inputs
@@ -205,7 +205,7 @@ def _interpolate(low: float, high: float, range_fraction: Array) -> Array:
     return np.asarray(low * (1 - range_fraction) + high * range_fraction)
 
 
-def _cast(values: Array, dtype: str) -> Array:
+def _cast_array(values: Array, dtype: str) -> Array:
     """Convert numbers to another dtype; those beyond its range are clamped to the range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
@@ -233,7 +233,10 @@ def _projection_at_fraction(range_fraction: float) -> Float[np.ndarray, "4 4"]:
     min_fov, max_fov = _FOV_RANGE
     width, height = _viewport_at_fraction(range_fraction)
     return perspective(
-        min_fov + (max_fov - min_fov) * range_fraction, width / height, _NEAR_PLANE, _FAR_PLANE
+        min_fov + (max_fov - min_fov) * range_fraction,
+        width / height,
+        _NEAR_PLANE_DISTANCE,
+        _FAR_PLANE_DISTANCE,
     )
 
 

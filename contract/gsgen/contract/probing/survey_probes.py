@@ -46,7 +46,7 @@ _SIDE_DIRECTIONS = np.array(
         for b in (-1, 1)
     ]
 ) / np.sqrt(3)
-_SEED = 20
+_RANDOM_SEED = 20
 
 
 def survey_probes(
@@ -141,7 +141,7 @@ def _camera_inputs(
 
 def _corner_inputs(ranged_inputs: list[Input], base: Probe, number: int) -> dict[str, Array]:
     """Return test inputs with each number at a random end of its range; ``number`` is the seed."""
-    rng = np.random.default_rng([_SEED, number])
+    rng = np.random.default_rng([_RANDOM_SEED, number])
     inputs = {}
     for entry in ranged_inputs:
         assert entry.range is not None

@@ -28,7 +28,7 @@ ARRAY_MAGIC: Final = b"\x93NUMPY"
 """The first bytes of an .npy file."""
 
 _ZIP_MAGIC = b"PK"
-_SUFFIX = ".npy"
+_ARRAY_FILE_SUFFIX = ".npy"
 _MAX_HEADER_LENGTH = 1 << 16  # bytes; plain arrays need 128
 _MIN_FREE_BYTES = 32 << 20
 _NUMBER_BYTES = 8  # readers convert to float64
@@ -91,9 +91,9 @@ def _read_archive(
     archive: zipfile.ZipFile, names: Iterable[str] | None, limit: int
 ) -> dict[str, np.ndarray]:
     entries = {
-        entry.filename.removesuffix(_SUFFIX): entry
+        entry.filename.removesuffix(_ARRAY_FILE_SUFFIX): entry
         for entry in archive.infolist()
-        if entry.filename.endswith(_SUFFIX)
+        if entry.filename.endswith(_ARRAY_FILE_SUFFIX)
     }
     arrays: dict[str, np.ndarray] = {}
     for name in entries if names is None else names:

@@ -53,15 +53,15 @@ def safe_multiprocessing() -> Iterator[None]:
     They inherit the options of this process, such as ``-I``, but are started with ``-c``, which
     would search the working directory first.
     """
-    previous = os.environ.get(_SAFE_PATH_VARIABLE)
+    previous_setting = os.environ.get(_SAFE_PATH_VARIABLE)
     os.environ[_SAFE_PATH_VARIABLE] = "1"
     try:
         yield
     finally:
-        if previous is None:
+        if previous_setting is None:
             del os.environ[_SAFE_PATH_VARIABLE]
         else:
-            os.environ[_SAFE_PATH_VARIABLE] = previous
+            os.environ[_SAFE_PATH_VARIABLE] = previous_setting
 
 
 def child_environment() -> dict[str, str]:

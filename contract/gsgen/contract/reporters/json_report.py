@@ -62,7 +62,7 @@ def to_dict(entry: Entry) -> dict[str, Any]:
 
 def finding_to_dict(finding: Finding, rule: Rule) -> dict[str, Any]:
     """Convert a finding of a validation rule to JSON types, as validation reports hold it."""
-    data: dict[str, Any] = to_json_value(_finding(finding, rule))
+    data: dict[str, Any] = to_json_value(_finding_entry(finding, rule))
     return data
 
 
@@ -89,7 +89,7 @@ def document_of(report: Report) -> Document:
             )
             for entry in report.levels
         ),
-        findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
+        findings=tuple(_finding_entry(finding, rules[finding.rule]) for finding in report.findings),
         causes=tuple(_cause_entry(cause, report) for cause in report.causes),
         rules=tuple(_rule_entry(outcome, with_times=report.timed) for outcome in report.outcomes),
         tolerances=tuple(
@@ -142,7 +142,7 @@ def _counts(report: Report) -> Counts:
     )
 
 
-def _finding(finding: Finding, rule: Rule) -> FindingEntry:
+def _finding_entry(finding: Finding, rule: Rule) -> FindingEntry:
     return FindingEntry(
         rule=finding.rule,
         slug=finding.slug,

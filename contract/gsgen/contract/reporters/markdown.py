@@ -54,7 +54,7 @@ def _section(entry: Entry) -> str:
     items = []
     counted = (finding for finding in entry.findings if finding.counts)
     for rule, findings in groupby(counted, lambda finding: finding.rule):
-        items += [_finding(finding) for finding in findings]
+        items += [_finding_markdown(finding) for finding in findings]
         if rule in causes:
             blocked_rules = causes[rule].blocked_rules
             names = ", ".join(blocked_rule.id for blocked_rule in blocked_rules)
@@ -64,7 +64,7 @@ def _section(entry: Entry) -> str:
     return "\n\n".join(parts + _report_details(entry))
 
 
-def _finding(finding: Finding) -> str:
+def _finding_markdown(finding: Finding) -> str:
     certainty_text = " (possible)" if finding.certainty == "possible" else ""
     head = f"**{for_markdown(finding.rule)} {for_markdown(finding.slug)}** {finding.severity.word}{certainty_text}"
     location = f"{code(str(finding.where))}: {code(finding.message)}"

@@ -55,10 +55,10 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     """
     lines = _header_lines(report)
     causes = {cause.outcome.rule.id: cause for cause in report.causes}
-    visible = [
+    visible_findings = [
         finding for finding in report.findings if finding.counts or (finding.known and verbose)
     ]
-    for rule, findings in groupby(visible, lambda finding: finding.rule):
+    for rule, findings in groupby(visible_findings, lambda finding: finding.rule):
         lines += finding_lines(findings, verbose=verbose)
         if rule in causes:
             lines += _cause_lines(causes.pop(rule), verbose=verbose)
@@ -82,8 +82,8 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     if verbose or report.timed:
         lines += _probe_cost_lines(report)
     if report.timed:
-        inner = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
-        lines.append(Line(f"  took {report.seconds:.2f} s, of which {inner}"))
+        runtime_text = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
+        lines.append(Line(f"  took {report.seconds:.2f} s, of which {runtime_text}"))
     lines.append(_verdict(report))
     return [Line(printable(line.text), line.style) for line in lines]
 
@@ -121,14 +121,14 @@ def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list
     ):
         similar_findings = list(group)
         lines.append(Line(head, _STYLE[similar_findings[0].severity]))
-        listed = (
+        listed_findings = (
             similar_findings
             if verbose or len(similar_findings) <= _MAX_LOCATIONS
             else similar_findings[: _MAX_LOCATIONS - 1]
         )
-        for finding in listed:
+        for finding in listed_findings:
             lines += _location_lines(finding)
-        if unlisted_count := len(similar_findings) - len(listed):
+        if unlisted_count := len(similar_findings) - len(listed_findings):
             lines += _wrap_text(
                 f"and at {unlisted_count} more locations, which `gsgen validate -v` lists"
             )

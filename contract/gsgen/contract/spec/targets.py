@@ -121,8 +121,8 @@ def _load_entry_point(point: EntryPoint) -> Target:
     where = f"target {point.name} = {point.value}"
     try:
         with plugin_exits_as_errors():
-            loaded: Any = point.load()
-            target = loaded() if callable(loaded) else loaded
+            loaded_target: Any = point.load()
+            target = loaded_target() if callable(loaded_target) else loaded_target
     except Exception as error:  # a third party's code may fail in any way
         message = f"the target runtime's definition cannot be loaded: {short_repr(error)}"
         raise TargetUnusable(message, where=where) from error

@@ -104,5 +104,5 @@ def _expand_path(name: Path, is_entry_folder: Callable[[Path], bool]) -> Iterato
 
 
 def _is_visible(path: Path, folder: Path) -> bool:
-    is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-    return path.is_file() and not is_hidden
+    is_hidden_file = any(part.startswith(".") for part in path.relative_to(folder).parts)
+    return path.is_file() and not is_hidden_file

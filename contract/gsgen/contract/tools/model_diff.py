@@ -93,12 +93,12 @@ def _declared_fields(subject: InspectedModel) -> dict[str, str]:
 
 def _flatten_value(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _flatten_value(f"{prefix}.{key}" if prefix else key, inner)
+        for key, nested_value in value.items():
+            yield from _flatten_value(f"{prefix}.{key}" if prefix else key, nested_value)
     elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
-        for index, inner in enumerate(value):
-            name = inner.get("name", index) if isinstance(inner, dict) else index
-            yield from _flatten_value(f"{prefix}[{name}]", inner)
+        for index, nested_value in enumerate(value):
+            name = nested_value.get("name", index) if isinstance(nested_value, dict) else index
+            yield from _flatten_value(f"{prefix}[{name}]", nested_value)
     else:
         yield prefix, str(value)
 

@@ -213,15 +213,15 @@ class _Validation:
             self._rules_of_scope("emission", max_level=Level.VALUES)
         )
         probe_outputs: list[ModelOutputs] = []
-        visited: set[int] = set()
+        visited_samples: set[int] = set()
         rows = 0
         # All-zero inputs come last: some rules skip them, but not if another probe gave the same
         # outputs.
         runs = sorted(execution.runs[: plan.values], key=lambda r: plan.probes[r.probe].zeros)
         for run in runs:
-            if run.sample in visited:
+            if run.sample in visited_samples:
                 continue  # identical outputs were checked before
-            visited.add(run.sample)
+            visited_samples.add(run.sample)
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
             emission = read_outputs(self.subject, probe.label, outputs, zeros=probe.zeros)
@@ -229,7 +229,7 @@ class _Validation:
                 rule for rule in output_rules if self.results.check(rule, emission, probe.label)
             ]
             probe_outputs.append(emission)
-        self.results.settle(output_rules, items=len(visited))
+        self.results.settle(output_rules, items=len(visited_samples))
         # Rules of rows may need rules of whole outputs, such as the order of the fields.
         row_rules = self.results.ready_rules(self._rules_of_scope("rows", max_level=Level.VALUES))
         for emission in probe_outputs:

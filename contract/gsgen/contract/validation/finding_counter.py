@@ -74,7 +74,7 @@ class FindingCounter:
         if count:
             self.count += count
             self._store_violation(violation, probe, start)
-            self._sample(violation)
+            self._sample_example(violation)
 
     def _store_violation(self, violation: Violation, probe: str, start: int) -> None:
         assert violation.invalid_rows is not None
@@ -91,7 +91,7 @@ class FindingCounter:
             self.magnitude = float(invalid_magnitude[worst])
             self.worst = _example(violation.values, worst, probe, start)
 
-    def _sample(self, violation: Violation) -> None:
+    def _sample_example(self, violation: Violation) -> None:
         """Keep evenly spaced values of the checked rows, for a histogram."""
         values, invalid = violation.values, violation.invalid_rows
         if values is not None and invalid is not None and values.ndim == 1:

@@ -184,14 +184,14 @@ class ResultCollector:
     def findings(self) -> tuple[Finding, ...]:
         """Return all findings, the most severe first, then in the order of the rule catalogue."""
         findings = [
-            self._finding(rule, counter)
+            self._finding_of_rule(rule, counter)
             for rule in self.registry.rules.values()
             for counter in self._counters_by_rule.get(rule.id, {}).values()
             if counter.has_failing_finding
         ]
         return tuple(sorted(findings, key=lambda finding: -finding.severity))
 
-    def _finding(self, rule: Rule, counter: FindingCounter) -> Finding:
+    def _finding_of_rule(self, rule: Rule, counter: FindingCounter) -> Finding:
         severity: Severity = self.settings.severity_of(rule)
         source = "contract"
         if rule.target or rule.limit or rule.id in self.settings.target.severities:

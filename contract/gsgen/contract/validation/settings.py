@@ -115,7 +115,7 @@ def _apply_config(base: Settings, data: dict[str, Any], registry: Registry, wher
         registry.find(name, f"{where}, [severity]").id: Severity.parse(word, where)
         for name, word in data.get("severity", {}).items()
     }
-    ignored, only, required = (
+    ignored_rules, only, required = (
         frozenset(registry.find(name, f"{where}, {key}").id for name in section.get(key, []))
         for key in ("ignore", "only", "require_rules")
     )
@@ -125,7 +125,7 @@ def _apply_config(base: Settings, data: dict[str, Any], registry: Registry, wher
         level=Level.parse(level, where) if level else base.level,
         target=load_target(target, where) if target else base.target,
         fail_on=Severity.parse(fail_on, where) if fail_on else base.fail_on,
-        ignore=base.ignore | ignored,
+        ignore=base.ignore | ignored_rules,
         severities={**base.severities, **severities},
         limits=limits,
         strict=section.get("strict", base.strict),

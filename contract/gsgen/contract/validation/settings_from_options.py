@@ -60,7 +60,7 @@ def make_settings(
     """
     path = config or _default_config()
     base = read_config(path, registry) if path is not None else Settings()
-    ignored = _rule_ids(registry, ignore, f"{prefix}ignore")
+    ignored_ids = _rule_ids(registry, ignore, f"{prefix}ignore")
     selected_ids = _rule_ids(registry, only, f"{prefix}only") or base.only
     required = base.required | _rule_ids(registry, require, f"{prefix}require-rules")
     if selected_ids and (
@@ -76,7 +76,7 @@ def make_settings(
         level=Level.parse(level, f"{prefix}level") if level else base.level,
         target=load_target(target, f"{prefix}target") if target else base.target,
         fail_on=Severity.parse(fail_on, f"{prefix}fail-on") if fail_on else base.fail_on,
-        ignore=base.ignore | ignored,
+        ignore=base.ignore | ignored_ids,
         severities={**base.severities, **severities},
         only=selected_ids,
         required=required,

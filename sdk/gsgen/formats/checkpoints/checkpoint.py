@@ -125,8 +125,8 @@ def _unwrap_state_dict(content: Any) -> Any:
             return {"splats": tensors}
         if tensors:
             return {"pipeline": {f"_model.gauss_params.{k}": v for k, v in tensors.items()}}
-    inner = [names.get(key) for key in ("state_dict", "model_state_dict", "model")]
-    states = [state for state in inner if isinstance(state, dict)]
+    nested_states = [names.get(key) for key in ("state_dict", "model_state_dict", "model")]
+    states = [state for state in nested_states if isinstance(state, dict)]
     return _unwrap_state_dict(states[0]) if states else content
 
 

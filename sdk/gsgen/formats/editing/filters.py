@@ -72,15 +72,15 @@ def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
             where="box",
             expected="x, y, z of the low corner, then of a corner that is not lower",
         )
-    is_inside = (splats.position >= low) & (splats.position <= high)
-    return rows_of(splats, np.asarray(is_inside.all(axis=1)))
+    inside_mask = (splats.position >= low) & (splats.position <= high)
+    return rows_of(splats, np.asarray(inside_mask.all(axis=1)))
 
 
 def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:
     """Return the splats whose centres lie in a sphere, given as centre and radius."""
     offset = splats.position.astype(np.float64) - np.array(sphere[:3])
-    is_inside = np.square(offset).sum(axis=1) <= sphere[3] ** 2
-    return rows_of(splats, np.asarray(is_inside))
+    inside_mask = np.square(offset).sum(axis=1) <= sphere[3] ** 2
+    return rows_of(splats, np.asarray(inside_mask))
 
 
 def where_value(splats: Splats, condition: str) -> Splats:

@@ -46,13 +46,13 @@ def parse_gltf(content: bytes, fetch: FetchBuffer, max_bytes: int) -> Container:
             where="asset.version",
             expected="version 2.0",
         )
-    starts, joined = [], bytearray()
+    starts, joined_buffers = [], bytearray()
     for index, buffer in enumerate(array_member(document, "buffers", "document")):
         where = f"buffers[{index}]"
         if not isinstance(buffer, dict):
             raise HeaderMalformed(quoted(str(buffer)), where=where, expected="an object")
         size = require_integer(buffer.get("byteLength"), f"{where}.byteLength")
-        if len(joined) + size > max_bytes:
+        if len(joined_buffers) + size > max_bytes:
             raise SizeExceeded(
                 f"the buffers take more than {max_bytes} bytes", where=where, expected="less"
             )
@@ -61,13 +61,15 @@ def parse_gltf(content: bytes, fetch: FetchBuffer, max_bytes: int) -> Container:
             raise FileTruncated(
                 f"the buffer has {len(data)} bytes", where=where, expected=f"{size} bytes"
             )
-        starts.append(len(joined))
-        joined += data[:size]
-        joined += bytes(-len(joined) % 8)
+        starts.append(len(joined_buffers))
+        joined_buffers += data[:size]
+        joined_buffers += bytes(-len(joined_buffers) % 8)
     views = array_member(document, "bufferViews", "document")
-    moved = [_moved_view(view, index, starts) for index, view in enumerate(views)]
-    document |= {"buffers": [{"byteLength": len(joined)}], "bufferViews": moved}
-    return Container(document=document, data=bytes(joined), start=0, size=len(joined))
+    moved_views = [_moved_view(view, index, starts) for index, view in enumerate(views)]
+    document |= {"buffers": [{"byteLength": len(joined_buffers)}], "bufferViews": moved_views}
+    return Container(
+        document=document, data=bytes(joined_buffers), start=0, size=len(joined_buffers)
+    )
 
 
 def _buffer(buffer: dict[str, Any], where: str, fetch: FetchBuffer, size: int) -> bytes:

@@ -32,15 +32,15 @@ _MAX_DEPTH = 200
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
     """Yield the meshes of a glTF scene, each with its mesh→world matrix."""
     pending_nodes = [(index, np.eye(4), 0) for index in reversed(_root_nodes(glb))]
-    visited: set[int] = set()
+    visited_nodes: set[int] = set()
     while pending_nodes:
         index, parent_matrix, depth = pending_nodes.pop()
         where = f"nodes[{index}]"
-        if index in visited or depth > _MAX_DEPTH:
+        if index in visited_nodes or depth > _MAX_DEPTH:
             raise HeaderMalformed(
                 "the node is its own ancestor or has two parents", where=where, expected="a tree"
             )
-        visited.add(index)
+        visited_nodes.add(index)
         node = glb.item("nodes", index, where)
         matrix = parent_matrix @ _local_matrix(node, where)
         if "mesh" in node:
@@ -95,17 +95,17 @@ def _local_matrix(node: Json, where: str) -> Matrix:
 
 def transform_splats(splats: Splats, matrix: Matrix) -> Splats:
     """Transform ``splats`` by a matrix M: Σ becomes M Σ Mᵀ, and SH are rotated."""
-    linear = matrix[:3, :3]
+    linear_part = matrix[:3, :3]
     if np.array_equal(matrix, np.eye(4)):
         return splats
-    u, sizes, right_vectors = np.linalg.svd(linear)
+    u, sizes, right_vectors = np.linalg.svd(linear_part)
     rotation_part = u @ right_vectors
-    position = splats.position @ linear.T + matrix[:3, 3]
+    position = splats.position @ linear_part.T + matrix[:3, 3]
     if np.allclose(sizes, sizes[0], rtol=1e-6):  # without shear the axes stay orthogonal
         rotation = _rotated_quaternions(splats.rotation, rotation_part)
         log_scale = splats.log_scale + np.float32(np.log(sizes[0]))
     else:
-        ellipsoid_axes = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
+        ellipsoid_axes = np.einsum("ij,njk->nik", linear_part, rotation_matrix(splats.rotation))
         with np.errstate(over="ignore"):
             ellipsoid_axes *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
         axes, scale = _axes(ellipsoid_axes)

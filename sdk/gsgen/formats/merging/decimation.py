@@ -26,8 +26,8 @@ def decimate(splats: Splats, count: int) -> Splats:
     codes = morton_codes(splats.position, cube)
     mixture = mixture_of(splats, codes)
     mixture = mixture.rows(np.argsort(codes, kind="stable"))
-    merged = merge_clusters(mixture, _cluster_starts(mixture, count))
-    result = splats_of(merged, stored_degree(merged))
+    merged_mixture = merge_clusters(mixture, _cluster_starts(mixture, count))
+    result = splats_of(merged_mixture, stored_degree(merged_mixture))
     return Splats(
         position=result.position,
         rotation=result.rotation,

@@ -68,26 +68,26 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     mass = mixture.mass
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
     cell_depth, starts = choose_cells(mixture.code, depth, target)
-    is_retained = _select_largest_splats(mass, starts, int(target))
+    retained_mask = _select_largest_splats(mass, starts, int(target))
     # 2. Where these cells are too many, coarser ones leave room for the largest splats. They are
     #    better where these splats are most of what is seen: merging large splats blurs most.
     if len(starts) > target and cell_depth > depth:
         coarse_starts = _cell_starts(cell_codes(mixture.code, cell_depth - 1))
         is_unmerged = _select_largest_splats(mass, coarse_starts, int(target))
         if float(mass[is_unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
-            cell_depth, starts, is_retained = cell_depth - 1, coarse_starts, is_unmerged
+            cell_depth, starts, retained_mask = cell_depth - 1, coarse_starts, is_unmerged
     # 3. The largest splats stay as they are: each becomes a cluster of its own.
-    if is_retained.any():
+    if retained_mask.any():
         cells = _cell_numbers(starts, len(mixture))
-        number = np.where(is_retained, np.arange(1, len(mixture) + 1), 0)
+        number = np.where(retained_mask, np.arange(1, len(mixture) + 1), 0)
         order = np.lexsort((number, cells))
         mixture, cells, number = mixture.rows(order), cells[order], number[order]
         is_new_cluster = (cells[1:] != cells[:-1]) | (number[1:] != number[:-1])
         starts = np.concatenate([np.zeros(1, np.int64), np.flatnonzero(is_new_cluster) + 1])
-    merged = merge_clusters(mixture, starts)
+    merged_mixture = merge_clusters(mixture, starts)
     # 4. A retained splat may have a code before that of the cluster beside it.
-    merged = merged.rows(np.argsort(merged.code, kind="stable"))
-    return Level(mixture=merged, depth=cell_depth)
+    merged_mixture = merged_mixture.rows(np.argsort(merged_mixture.code, kind="stable"))
+    return Level(mixture=merged_mixture, depth=cell_depth)
 
 
 def _cell_starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
@@ -112,9 +112,9 @@ def _select_largest_splats(
         starts: First row of each cell.
         count: Splats of the level, those of the cells included.
     """
-    is_retained = np.zeros(len(mass), bool)
+    retained_mask = np.zeros(len(mass), bool)
     if count <= len(starts):
-        return is_retained
+        return retained_mask
     # 1. No more than ``count`` can stay: sort these alone.
     threshold = np.partition(mass, len(mass) - count)[len(mass) - count]
     rows = np.flatnonzero(mass >= threshold)
@@ -128,8 +128,8 @@ def _select_largest_splats(
     is_added = rank + 1 < np.diff(starts, append=len(mass))[cell]
     # 3. As many as there is room for.
     retained_count = np.searchsorted(np.cumsum(is_added), count - len(starts), side="right")
-    is_retained[rows[:retained_count]] = True
-    return is_retained
+    retained_mask[rows[:retained_count]] = True
+    return retained_mask
 
 
 def stored_degree(mixture: Mixture) -> int:

@@ -53,12 +53,12 @@ class Mixture:
 def concatenate(parts: Sequence[Mixture]) -> Mixture:
     """Join sets of Gaussians and sort them by Morton code; equal codes keep their order."""
     names = Mixture.__slots__
-    joined = Mixture(
+    joined_mixture = Mixture(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     )
-    if len(parts) == 1 or bool((joined.code[1:] >= joined.code[:-1]).all()):
-        return joined
-    return joined.rows(np.argsort(joined.code, kind="stable"))
+    if len(parts) == 1 or bool((joined_mixture.code[1:] >= joined_mixture.code[:-1]).all()):
+        return joined_mixture
+    return joined_mixture.rows(np.argsort(joined_mixture.code, kind="stable"))
 
 
 def surface_area(scale: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:

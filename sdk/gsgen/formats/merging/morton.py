@@ -43,8 +43,8 @@ class Cube:
         center = (low + high) / 2
         max_coordinate = float(np.abs([low, high]).max())
         side = max(float((high - low).max()), max_coordinate * 1e-9, 1e-9) * (1 + 1e-9)
-        corner = center - side / 2
-        return cls((float(corner[0]), float(corner[1]), float(corner[2])), side)
+        low_corner = center - side / 2
+        return cls((float(low_corner[0]), float(low_corner[1]), float(low_corner[2])), side)
 
     def cell(self, depth: int, prefix: int) -> "Cube":
         """Return the octree cell whose Morton codes begin with the given bits."""

@@ -41,7 +41,7 @@ def _chunks(
         rows = list(islice(lines, min(CHUNK_ROWS, vertex.count - start)))
         if len(rows) < min(CHUNK_ROWS, vertex.count - start):
             raise _truncated_error(vertex, start + len(rows))
-        table = _parse(rows, start, len(vertex.properties))
+        table = _parse_rows(rows, start, len(vertex.properties))
         yield dict(zip(vertex.types, table.T, strict=True))
 
 
@@ -102,7 +102,7 @@ def count_lines(data: mmap.mmap, start: int) -> int:
     return sum(1 for _ in _lines(data, start))
 
 
-def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows width"]:
+def _parse_rows(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows width"]:
     """Parse lines of a text PLY file as numbers; ``first`` is the number of the first row."""
     try:
         table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)

@@ -41,9 +41,9 @@ def write_compressed_ply(path: FilePath, splats: Splats) -> None:
     sorted_splats = _sort_splats(splats)
     higher_count = 3 * (splats.sh.shape[1] - 1)
     with replace_file(path) as file:
-        boxes, words = _packed_chunks(sorted_splats)
-        file.write(_header(len(boxes), splats, higher_count))
-        file.write(boxes.astype("<f4").tobytes())
+        box_records, words = _packed_chunks(sorted_splats)
+        file.write(_header(len(box_records), splats, higher_count))
+        file.write(box_records.astype("<f4").tobytes())
         file.write(words.astype("<u4").tobytes())
         channels = sorted_splats.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), higher_count)
         file.write(rows.pack_sh(channels).tobytes())
@@ -66,9 +66,10 @@ def _packed_chunks(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndar
     """Return the bounding box of each chunk of 256 splats, and four packed words per splat."""
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)
-    boxes = [_box(part) for part in parts]
+    part_boxes = [_box(part) for part in parts]
     (position_low, position_high), (scale_low, scale_high), (color_low, color_high) = (
-        [np.repeat(end, rows.ROWS_PER_CHUNK, axis=0)[: len(splats)] for end in box] for box in boxes
+        [np.repeat(end, rows.ROWS_PER_CHUNK, axis=0)[: len(splats)] for end in part_box]
+        for part_box in part_boxes
     )
     words = [
         rows.pack_in_box(splats.position, position_low, position_high),
@@ -76,7 +77,7 @@ def _packed_chunks(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndar
         rows.pack_in_box(splats.log_scale, scale_low, scale_high),
         rows.pack_color(color, splats.logit_opacity, color_low, color_high),
     ]
-    ends = [end for box in boxes for end in box]
+    ends = [end for part_box in part_boxes for end in part_box]
     return np.concatenate(ends, axis=1), np.stack(words, axis=1)
 
 
@@ -89,10 +90,10 @@ def _box(
     return low.astype(np.float32), high.astype(np.float32)
 
 
-def _header(boxes: int, splats: Splats, higher_count: int) -> bytes:
+def _header(box_count: int, splats: Splats, higher_count: int) -> bytes:
     count = len(splats)
     elements = [
-        ("chunk", boxes, "float", rows.BOX_PROPERTIES),
+        ("chunk", box_count, "float", rows.BOX_PROPERTIES),
         ("vertex", count, "uint", rows.PACKED_PROPERTIES),
     ]
     if higher_count:

@@ -22,7 +22,7 @@ COLORS = (
 
 _CONSTANT_NAMES = ("f_dc_0", "f_dc_1", "f_dc_2")
 _REST_NAME = re.compile(r"f_rest_\d+")
-_REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
+_HIGHER_SH_VALUE_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
 
 
 def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
@@ -108,7 +108,7 @@ def splat_degree(names: Collection[str]) -> int:
     replaced_names = _CONSTANT_NAMES if splat_colors(names) else ()
     _require_all_properties(names, splat_names(0), replaced_names)
     higher_sh_names = [name for name in names if _REST_NAME.fullmatch(name)]
-    if len(higher_sh_names) not in _REST_COUNTS:
+    if len(higher_sh_names) not in _HIGHER_SH_VALUE_COUNTS:
         raise PropertyMissing(
             f"the file has {len(higher_sh_names)} properties f_rest: {join_names(higher_sh_names)}",
             where="element 'vertex'",

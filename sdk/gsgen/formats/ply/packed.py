@@ -15,7 +15,7 @@ from gsgen.formats.shared.splats import DEFAULT_UP, SH_COUNTS, Splats
 from gsgen.formats.shared.values import require_rows
 
 _BOX_WITHOUT_COLORS = rows.BOX_PROPERTIES[:12]
-_REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
+_HIGHER_SH_VALUE_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
 
 
 def is_packed(header: Header) -> bool:
@@ -26,24 +26,28 @@ def is_packed(header: Header) -> bool:
 
 def read_packed(data: mmap.mmap, header: Header) -> tuple[Splats, dict[str, tuple[str, ...]]]:
     """Return the splats of a compressed PLY file, and the used properties of each element."""
-    vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
+    vertex, chunk_element = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
     needed = -(-vertex.count // rows.ROWS_PER_CHUNK)
-    if boxes.count < needed:
+    if chunk_element.count < needed:
         raise HeaderMalformed(
-            f"the element has {boxes.count} rows",
+            f"the element has {chunk_element.count} rows",
             where="element 'chunk'",
             expected=f"{needed} or more",
         )
     words = _columns(data, header, vertex, rows.PACKED_PROPERTIES, "u4")
-    box = _read_boxes(data, header, boxes, vertex.count)
-    low_color = np.zeros((1, 3), np.float32) if box.shape[1] == 12 else box[:, 12:15]
-    high_color = np.ones((1, 3), np.float32) if box.shape[1] == 12 else box[:, 15:18]
+    chunk_boxes = _read_boxes(data, header, chunk_element, vertex.count)
+    low_color = (
+        np.zeros((1, 3), np.float32) if chunk_boxes.shape[1] == 12 else chunk_boxes[:, 12:15]
+    )
+    high_color = (
+        np.ones((1, 3), np.float32) if chunk_boxes.shape[1] == 12 else chunk_boxes[:, 15:18]
+    )
     constant, logit_opacity = rows.unpack_color(words[3], low_color, high_color)
     splats = Splats(
-        position=rows.unpack_in_box(words[0], box[:, 0:3], box[:, 3:6]),
+        position=rows.unpack_in_box(words[0], chunk_boxes[:, 0:3], chunk_boxes[:, 3:6]),
         rotation=rows.unpack_rotation(words[1]),
-        log_scale=rows.unpack_in_box(words[2], box[:, 6:9], box[:, 9:12]),
+        log_scale=rows.unpack_in_box(words[2], chunk_boxes[:, 6:9], chunk_boxes[:, 9:12]),
         logit_opacity=logit_opacity,
         sh=np.concatenate(
             [constant[:, None], _read_higher_sh_bands(data, header, vertex.count)], axis=1
@@ -51,7 +55,11 @@ def read_packed(data: mmap.mmap, header: Header) -> tuple[Splats, dict[str, tupl
         antialiased=header.antialiased,
         up=header.up or DEFAULT_UP,
     )
-    used = {element.name: tuple(element.types) for element in (boxes, header.find("sh")) if element}
+    used = {
+        element.name: tuple(element.types)
+        for element in (chunk_element, header.find("sh"))
+        if element
+    }
     return splats, used | {"vertex": rows.PACKED_PROPERTIES}
 
 
@@ -82,7 +90,7 @@ def _read_higher_sh_bands(
     value_count = len(element.properties)
     if value_count == 0:  # gsplat declares the element at degree 0, too
         return np.empty((count, 0, 3), np.float32)
-    if value_count not in _REST_COUNTS:
+    if value_count not in _HIGHER_SH_VALUE_COUNTS:
         raise PropertyMissing(
             f"the element has {value_count} properties",
             where="element 'sh'",

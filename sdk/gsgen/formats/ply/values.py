@@ -78,17 +78,17 @@ def near_origin(
     if position.dtype == np.float32:
         return np.asarray(position, np.float32), NO_ORIGIN  # no copy
     with np.errstate(over="ignore", invalid="ignore"):
-        narrow = position.astype(np.float32)
-    is_finite = np.isfinite(narrow).all(axis=1)
+        position32 = position.astype(np.float32)
+    is_finite = np.isfinite(position32).all(axis=1)
     if not is_finite.any():
-        return narrow, NO_ORIGIN
+        return position32, NO_ORIGIN
     low, high = position[is_finite].min(axis=0), position[is_finite].max(axis=0)
     if np.abs([low, high]).max() <= MAX_FLOAT32_OFFSET:
-        return narrow, NO_ORIGIN
+        return position32, NO_ORIGIN
     origin = np.round((low + high) / 2 / _ORIGIN_STEP) * _ORIGIN_STEP + 0.0  # no -0
-    loss = np.abs(position[is_finite] - narrow[is_finite]).max()
+    loss = np.abs(position[is_finite] - position32[is_finite]).max()
     if not origin.any() or loss < _MIN_REPORTED_LOSS:
-        return narrow, NO_ORIGIN
+        return position32, NO_ORIGIN
     x, y, z = (float(value) for value in origin)
     text = (
         f"{os.fspath(path)}: positions are relative to ({x:.0f}, {y:.0f}, {z:.0f}): as float32 "

@@ -65,9 +65,11 @@ def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.nd
 
 def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
     """Return P_l^m(z) / (1 − z²)^(m/2) of associated Legendre functions, by recurrence in l."""
-    previous = np.zeros_like(z)
+    previous_term = np.zeros_like(z)
     legendre_term = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))
     for step in range(m + 1, band + 1):
-        next_value = ((2 * step - 1) * z * legendre_term - (step + m - 1) * previous) / (step - m)
-        previous, legendre_term = legendre_term, next_value
+        next_value = ((2 * step - 1) * z * legendre_term - (step + m - 1) * previous_term) / (
+            step - m
+        )
+        previous_term, legendre_term = legendre_term, next_value
     return legendre_term

@@ -80,10 +80,10 @@ def without_largest(
     """Return a quaternion's three components other than the largest, and the largest's index."""
     largest = np.abs(rotation).argmax(axis=1)
     rows = np.arange(len(rotation))
-    positive = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]
+    positive_quaternion = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]
     indices = np.arange(3)
     smaller = indices + (indices >= largest[:, None])
-    return largest, np.asarray(np.take_along_axis(positive, smaller, axis=1), np.float32)
+    return largest, np.asarray(np.take_along_axis(positive_quaternion, smaller, axis=1), np.float32)
 
 
 def rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 4"]:

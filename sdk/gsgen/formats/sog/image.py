@@ -32,9 +32,9 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pillow_module.DecompressionBombWarning)
-            opened = pillow_module.open(BytesIO(content), formats=["WEBP"])
-        _require_size(opened.size, needed, where, width)
-        pixels = np.asarray(opened.convert("RGBA"))
+            opened_image = pillow_module.open(BytesIO(content), formats=["WEBP"])
+        _require_size(opened_image.size, needed, where, width)
+        pixels = np.asarray(opened_image.convert("RGBA"))
     # Pillow documents OSError, but damage also raises ValueError, SyntaxError and others.
     except (FileTruncated, HeaderMalformed):
         raise

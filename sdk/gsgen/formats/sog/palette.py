@@ -103,10 +103,10 @@ def _split_clusters(rows: Rows, size: int) -> Rows:
         is_positive_side = (_random_projections(centred, variances, starts, label) > 0) & is_split[
             label
         ]
-        moved = label * 2 + is_positive_side
-        order = np.argsort(moved, kind="stable")
+        new_labels = label * 2 + is_positive_side
+        order = np.argsort(new_labels, kind="stable")
         rows, cluster_count = rows[order], len(starts)
-        starts = np.flatnonzero(np.diff(moved[order], prepend=-1))
+        starts = np.flatnonzero(np.diff(new_labels[order], prepend=-1))
         if len(starts) == cluster_count:  # only rounding separates the rows of these clusters
             break
     return _group_means(rows, starts)
@@ -134,9 +134,9 @@ def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
     """Return each palette entry as the mean of its rows; entries without rows stay unchanged."""
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
-    moved = palette.copy()
-    moved[labels[order][starts]] = _group_means(rows[order], starts)
-    return moved
+    updated_palette = palette.copy()
+    updated_palette[labels[order][starts]] = _group_means(rows[order], starts)
+    return updated_palette
 
 
 def _squared_distances(

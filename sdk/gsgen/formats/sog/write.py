@@ -284,11 +284,11 @@ def _stored_positions(
 
 def _finite_scales(log_scale: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """Replace log scales of -inf, which JSON lacks, by a very small scale."""
-    is_flat = np.isneginf(log_scale)
-    if not is_flat.any():
+    flat_axis_mask = np.isneginf(log_scale)
+    if not flat_axis_mask.any():
         return log_scale
-    smallest_scale = np.min(log_scale, initial=_FLAT_LOG_SCALE, where=~is_flat)
-    return np.where(is_flat, np.float32(smallest_scale), log_scale)
+    smallest_scale = np.min(log_scale, initial=_FLAT_LOG_SCALE, where=~flat_axis_mask)
+    return np.where(flat_axis_mask, np.float32(smallest_scale), log_scale)
 
 
 def _packed_rotations(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:

@@ -77,8 +77,8 @@ def _decode_positions(
     if version <= HALF_POSITIONS:
         return stream.view("<f2").reshape(count, 3).astype(np.float32)
     parts = stream.reshape(count, 3, 3).astype(np.int32)
-    unsigned = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
-    signed_values = unsigned - ((unsigned & 0x800000) << 1)
+    unsigned_coordinates = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
+    signed_values = unsigned_coordinates - ((unsigned_coordinates & 0x800000) << 1)
     return np.ldexp(signed_values.astype(np.float32), -fractional_bits)
 
 
@@ -123,8 +123,8 @@ def _encode_positions(
     if version <= HALF_POSITIONS:
         return position.astype("<f2").tobytes()
     steps = np.ldexp(position.astype(np.float64), fractional_bits)
-    unsigned = rounded(steps, -COORDINATE_LIMIT, COORDINATE_LIMIT).astype("<i4")
-    return unsigned.view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
+    coordinate_words = rounded(steps, -COORDINATE_LIMIT, COORDINATE_LIMIT).astype("<i4")
+    return coordinate_words.view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
 
 
 def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:

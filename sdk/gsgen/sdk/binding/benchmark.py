@@ -70,13 +70,13 @@ def time_frames(
     with execute(
         model, [], [], limits, _WORKER, has_gpu=provider != "cpu", trusted=trusted, **options
     ) as execution:
-        state, reason, facts = _outcome(execution)
+        state, reason, facts = _benchmark_outcome(execution)
         return BenchmarkResult(
             model=str(model), provider=provider, state=state, reason=reason, facts=facts
         )
 
 
-def _outcome(execution: Execution) -> tuple[BenchmarkState, str, dict[str, Any]]:
+def _benchmark_outcome(execution: Execution) -> tuple[BenchmarkState, str, dict[str, Any]]:
     for event in execution.events:
         if event["event"] == "measured":  # a crash at the end of the process does not matter
             return "measured", "", dict(event["facts"])

@@ -109,19 +109,19 @@ class FrameSession:
         }  # fmt: skip
         self._own_process: ConfinedModels | None = None
         self._lock: AbstractContextManager[object] = threading.RLock()
-        opened: WarmSession | ConfinedSession
+        opened_session: WarmSession | ConfinedSession
         if confined:
-            opened = self._open_confined(confined, is_embedded=manifest is None, **settings)
-            self._bound: BoundSession | ConfinedSession | None = opened
+            opened_session = self._open_confined(confined, is_embedded=manifest is None, **settings)
+            self._bound: BoundSession | ConfinedSession | None = opened_session
         else:
-            opened = open_warm(sources, **settings)
-            self._bound, self._lock = opened.bound, lock_of(opened.choice)
-        self._ports = opened.ports
-        self._names = InputNames.from_bindings(opened.ports.values(), str(self.path))
-        self.manifest, self.nodes = sources.manifest, opened.nodes
-        self.provider: Provider = opened.provider
-        self.reason, self.device = opened.reason, opened.device
-        self.captured, self.cause = opened.captured, opened.cause
+            opened_session = open_warm(sources, **settings)
+            self._bound, self._lock = opened_session.bound, lock_of(opened_session.choice)
+        self._ports = opened_session.ports
+        self._names = InputNames.from_bindings(opened_session.ports.values(), str(self.path))
+        self.manifest, self.nodes = sources.manifest, opened_session.nodes
+        self.provider: Provider = opened_session.provider
+        self.reason, self.device = opened_session.reason, opened_session.device
+        self.captured, self.cause = opened_session.captured, opened_session.cause
         _open_sessions.add(self)
         self._warn_of_fallbacks()
 

@@ -205,7 +205,10 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
         GeneratorInvalid: No centre is finite and visible.
     """
     corners = [
-        corner for r in references if not r.probe.zeros for corner in _bounding_box_corners(r)
+        box_corner
+        for r in references
+        if not r.probe.zeros
+        for box_corner in _bounding_box_corners(r)
     ]
     points = np.array(corners) if corners else np.zeros((0, 3))
     bounds = Bounds.from_points(points, _MEMORY_MARGIN)

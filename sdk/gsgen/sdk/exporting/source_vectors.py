@@ -84,7 +84,7 @@ def add_source_vectors(
     vectors = tuple(
         vector
         for index in sorted(recorder.outputs)
-        if (vector := _vector(subject, recorder, index, tolerances)) is not None
+        if (vector := _recorded_vector(subject, recorder, index, tolerances)) is not None
     )
     if vectors:
         document = json.loads(subject.file.manifest_text or "{}")
@@ -93,7 +93,7 @@ def add_source_vectors(
     return vectors
 
 
-def _vector(
+def _recorded_vector(
     subject: InspectedModel, recorder: RowRecorder, index: int, tolerances: Tolerances | None
 ) -> TestVector | None:
     """Return a test vector; None if no row is visible or the ONNX model differs from torch."""

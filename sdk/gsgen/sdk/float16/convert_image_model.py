@@ -76,10 +76,10 @@ def image_to_float16(
     measure.update_reference()
     progress(f"measuring which of {len(nodes)} nodes may round to float16")
     searchable_nodes = [k for k, node in enumerate(nodes) if not is_op(node, *_SUMMING_OPERATORS)]
-    search = max_quantizable(
+    search_result = max_quantizable(
         searchable_nodes, measure.nodes_error, budget=_MAX_MEASUREMENTS, allowed=_COMPUTE_TOLERANCE
     )
-    computed = {node_key(nodes[k]) for k in search.quantized}
+    computed = {node_key(nodes[k]) for k in search_result.quantized}
     retained_keys = {node_key(node) for node in nodes} - computed
     stored = {measure.weights[k] for k in tables.quantized}
     _cast_input_to_float16(model.graph, image)

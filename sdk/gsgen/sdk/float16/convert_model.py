@@ -195,8 +195,8 @@ def to_float16(
         roundings=roundings,
         weights_only=not arithmetic,
     )
-    search = _ConversionSearch(model, measure, arithmetic=arithmetic, budget=budget)
-    if not search.nodes and not measure.weights:
+    conversion_search = _ConversionSearch(model, measure, arithmetic=arithmetic, budget=budget)
+    if not conversion_search.nodes and not measure.weights:
         raise RewriteFailed(
             "the model has no node that computes in float32, and no large float32 weight",
             where="model",
@@ -209,9 +209,11 @@ def to_float16(
             "its origin.",
         )
     for share in _TOLERANCE_SHARES:
-        choice = search.choose_float16(share, progress)
+        choice = conversion_search.choose_float16(share, progress)
         converted = model.clone()
-        _convert(converted, _with_loosened_tolerances(manifest, allowed), choice, outputs=outputs)
+        _convert_nodes(
+            converted, _with_loosened_tolerances(manifest, allowed), choice, outputs=outputs
+        )
         progress("comparing the float16 model with the float32 one")
         parity = measure.model_parity(converted, limits or Limits())
         if parity.holds:
@@ -223,15 +225,15 @@ def to_float16(
     frame = measure.frame_bytes
     return converted, Float16Result(
         path=None,
-        converted_count=len(search.nodes) - len(choice.retained),
+        converted_count=len(conversion_search.nodes) - len(choice.retained),
         retained=choice.retained,
-        casts=search.boundary.casts(choice.retained_names),
+        casts=conversion_search.boundary.casts(choice.retained_names),
         parity=parity,
         bytes_before=weight_bytes(model),
         bytes_after=weight_bytes(converted),
         outputs_before=frame,
         outputs_after=frame // 2 if outputs else frame,
-        measured=search.measured,
+        measured=conversion_search.measured,
         retained_weights=choice.retained_weights,
     )
 
@@ -330,7 +332,7 @@ def _refuse_odd_float16_sizes(model: ir.Model, manifest: GeneratorManifest) -> N
         )
 
 
-def _convert(
+def _convert_nodes(
     model: ir.Model, manifest: GeneratorManifest, choice: _Float16Choice, *, outputs: bool
 ) -> None:
     ToFloat16(

@@ -76,7 +76,7 @@ class ToFloat16(SkippableRewrite):
         half_inputs = {
             (node, index) for node in selected for index in convertible_indices(node, opset)[0]
         }
-        native = {
+        native_float16_values = {
             node.outputs[index]
             for node in selected
             for index in convertible_indices(node, opset)[1]
@@ -84,12 +84,12 @@ class ToFloat16(SkippableRewrite):
         ends = {value for value in graph.outputs if self.outputs and _is_float32(value)}
         for node in selected:
             self.note(node)
-            if is_op(node, "Cast") and node.outputs[0] in native:
+            if is_op(node, "Cast") and node.outputs[0] in native_float16_values:
                 node.attributes["to"] = ir.AttrInt64("to", FLOAT16.value)
         for value in list(_values(graph)):
             if not _is_float32(value):
                 continue
-            if value in native:
+            if value in native_float16_values:
                 value.type = ir.TensorType(FLOAT16)
             if value.is_initializer() and not value.is_graph_input():
                 stored, rounds_in_steps = (
@@ -100,11 +100,11 @@ class ToFloat16(SkippableRewrite):
                     graph, value, half_inputs, stored=stored, rounds_in_steps=rounds_in_steps
                 )
             else:
-                _convert_value(graph, value, half_inputs, is_half=value in native)
+                _convert_value(graph, value, half_inputs, is_half=value in native_float16_values)
         for index, value in enumerate(list(graph.outputs)):
             if value.is_graph_input() and value in ends:
                 self.refuse(value, "it is an input, too, and inputs stay float32")
-            elif value in ends or value in native:
+            elif value in ends or value in native_float16_values:
                 _convert_output(graph, index, value, is_half=value in ends)
 
 
@@ -179,9 +179,9 @@ def _floats(
     values: Collection[ir.Value | None],
     formal_parameters: Collection["onnx.defs.OpSchema.FormalParameter"],
 ) -> list[tuple[int, "onnx.defs.OpSchema.FormalParameter"]]:
-    listed = list(formal_parameters)  # the last one may be variadic
+    formal_parameter_list = list(formal_parameters)  # the last one may be variadic
     return [
-        (index, listed[min(index, len(listed) - 1)])
+        (index, formal_parameter_list[min(index, len(formal_parameter_list) - 1)])
         for index, value in enumerate(values)
         if value is not None and _is_float32(value)
     ]
@@ -238,7 +238,7 @@ def _store_table(
         _convert_value(graph, value, half_inputs, is_half=True)
         return
     readers = _readers(value)
-    numbers = _cast(value, FLOAT)
+    numbers = _new_cast_node(value, FLOAT)
     name = f"{value.name}_scaled"
     step = weight(graph, f"{value.name}_step", table.step)
     start = weight(graph, f"{value.name}_start", table.start)
@@ -261,10 +261,10 @@ def _convert_value(
     mismatched_uses = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched_uses:
         return
-    cast = _cast(value, FLOAT if is_half else FLOAT16)
-    _insert_node_after(graph, value, cast)
+    cast_operation = _new_cast_node(value, FLOAT if is_half else FLOAT16)
+    _insert_node_after(graph, value, cast_operation)
     for node, index in mismatched_uses:
-        node.replace_input_with(index, cast.outputs[0])
+        node.replace_input_with(index, cast_operation.outputs[0])
 
 
 def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bool) -> None:
@@ -277,13 +277,13 @@ def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bo
     value.name = unused_name(graph, f"{name}_{'float32' if is_half else 'float16'}")
     if weight is not None:
         graph.register_initializer(weight)
-    cast = _cast(value, dtype)
-    cast.outputs[0].name = name
-    graph.append(cast)
-    graph.outputs[index] = cast.outputs[0]
+    cast_operation = _new_cast_node(value, dtype)
+    cast_operation.outputs[0].name = name
+    graph.append(cast_operation)
+    graph.outputs[index] = cast_operation.outputs[0]
 
 
-def _cast(value: ir.Value, dtype: ir.DataType) -> ir.Node:
+def _new_cast_node(value: ir.Value, dtype: ir.DataType) -> ir.Node:
     name = f"{value.name}_to_{'float16' if dtype == FLOAT16 else 'float32'}"
     node = ir.node("Cast", [value], attributes={"to": dtype.value}, name=name)
     output = node.outputs[0]
@@ -333,11 +333,13 @@ class Boundary:
         if value.is_initializer() and not value.is_graph_input():
             return False
         source_node, output = value.producer(), value.index()
-        native = source_node is not None and output in self._float16_indices(source_node, keep)[1]
+        is_native_float16 = (
+            source_node is not None and output in self._float16_indices(source_node, keep)[1]
+        )
         reader_halves = {
             index in self._float16_indices(node, keep)[0] for node, index in _readers(value)
         }
-        return (not native) in reader_halves
+        return (not is_native_float16) in reader_halves
 
     def _float16_indices(self, node: ir.Node, keep: Collection[str]) -> tuple[list[int], list[int]]:
         return ([], []) if node_key(node) in keep else self._scatter_positions.get(node, ([], []))

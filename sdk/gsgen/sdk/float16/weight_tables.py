@@ -66,7 +66,7 @@ def half_table(array: Float32[np.ndarray, "..."], *, rounds_in_steps: bool = Tru
 def _quantize_evenly(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
     """Quantise a weight table at even spacing; None if float16 has no larger error."""
     axis = _quantization_axis(array)
-    start, width = _range(array, axis)
+    start, width = _table_range(array, axis)
     step = (width / _LARGEST_UINT16).astype(np.float32)
     step[step < _MIN_STEP_SIZE] = 0
     rows = 1 if axis is None else _size(array.shape[:axis])
@@ -90,13 +90,13 @@ def _quantization_axis(array: Float32[np.ndarray, "..."]) -> int | None:
     """Return the axis along which a weight table's quantisation spacing varies, or None."""
     last_axis = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _MIN_ROWS]
-    spacing_by_axis = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
+    spacing_by_axis = {k: float(np.square(_table_range(array, k)[1]).mean()) for k in axes}
     for axis in spacing_by_axis.keys() - {last_axis}:
         spacing_by_axis[axis] *= _AXIS_PENALTY
     return min(reversed(axes), key=lambda axis: spacing_by_axis[axis], default=None)
 
 
-def _range(
+def _table_range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
     """Return minimum, and maximum − minimum, of a weight table at each index of an axis."""

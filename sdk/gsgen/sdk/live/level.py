@@ -152,14 +152,14 @@ def _raise_if_unavailable(execution: Execution) -> None:
 
 
 def _environment(events: tuple[Event, ...]) -> dict[str, str]:
-    versions = {"adapter": _adapter(events)}
+    versions = {"adapter": _adapter_name(events)}
     for event in events:
         if event["event"] == "device":
             versions["onnxruntime-ep-webgpu"] = str(event["version"])
     return versions
 
 
-def _adapter(events: tuple[Event, ...]) -> str:
+def _adapter_name(events: tuple[Event, ...]) -> str:
     """Return a GPU's name, kind and float16 support, as text."""
     device = next(
         (device_event["name"] for device_event in events if device_event["event"] == "device"), ""
@@ -193,7 +193,7 @@ def _read(probe_runs: ProbeRuns, execution: Execution, runs: list[int]) -> LiveL
     placed_nodes = next((event["nodes"] for event in events if event["event"] == "placed"), None)
     return LiveLevel(
         subject=probe_runs.subject,
-        adapter=_adapter(events),
+        adapter=_adapter_name(events),
         nodes=None if placed_nodes is None else tuple(Node(*entry) for entry in placed_nodes),
         is_capture_accepted=any(event["event"] == "accepted" for event in events),
         stop=_find_early_stop(execution),

@@ -62,8 +62,8 @@ def frustum_mask(
     length = torch.sqrt((normal * normal).sum(dim=1))
     distance = position @ normal.transpose(0, 1) + planes[:, 3]
     extent = radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
-    is_inside = (distance + extent >= 0).to(position.dtype)
-    return _product_of_columns(is_inside)
+    inside_mask = (distance + extent >= 0).to(position.dtype)
+    return _product_of_columns(inside_mask)
 
 
 def _product_of_columns(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:

@@ -41,13 +41,13 @@ def hash_grid(
         raise GeneratorInvalid(message, where="hash_grid")
     unit = position.clamp(0, 1)
     levels = [
-        _sample(table, unit, resolution)
+        _sample_grid(table, unit, resolution)
         for table, resolution in zip(tables, resolutions, strict=True)
     ]
     return torch.cat(levels, dim=1)
 
 
-def _sample(
+def _sample_grid(
     table: Float[Tensor, "t f"], unit: Float[Tensor, "n 3"], resolution: int
 ) -> Float[Tensor, "n f"]:
     """Return one grid level's features: the weighted mean of the eight corners of each position."""

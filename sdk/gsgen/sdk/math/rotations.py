@@ -67,12 +67,14 @@ def matrix_to_quaternion(matrix: Float[Tensor, "... 3 3"]) -> Float[Tensor, "...
         (xz - zx, yx + xy, squares[2], zy + yz),
         (yx - xy, xz + zx, zy + yz, squares[3]),
     )
-    best, largest = torch.stack(quaternion_forms[0], dim=-1), squares[0]
+    best_form, largest = torch.stack(quaternion_forms[0], dim=-1), squares[0]
     for quaternion_form, square in zip(quaternion_forms[1:], squares[1:], strict=True):
         is_larger = square > largest
-        best = torch.where(is_larger[..., None], torch.stack(quaternion_form, dim=-1), best)
+        best_form = torch.where(
+            is_larger[..., None], torch.stack(quaternion_form, dim=-1), best_form
+        )
         largest = torch.maximum(square, largest)
-    return safe_normalize(best)
+    return safe_normalize(best_form)
 
 
 def quaternion_multiply(

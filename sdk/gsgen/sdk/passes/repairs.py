@@ -50,7 +50,7 @@ class CastCountOutput(_OutputRepair):
         reshaped_count = new_node(
             "Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype
         )
-        cast = new_node(
+        cast_operation = new_node(
             "Cast",
             [reshaped_count.outputs[0]],
             f"{self.name}_int32",
@@ -58,7 +58,7 @@ class CastCountOutput(_OutputRepair):
             shape=[1],
             to=ir.DataType.INT32.value,
         )
-        append_output(graph, count, [reshaped_count, cast])
+        append_output(graph, count, [reshaped_count, cast_operation])
         return True
 
 
@@ -84,7 +84,7 @@ class PadColor(_OutputRepair):
         column = new_node(
             "Expand", [unit, size], f"{self.name}_ones", dtype=ir.DataType.FLOAT16, shape=[rows, 1]
         )
-        joined = new_node(
+        concat_operation = new_node(
             "Concat",
             [color, column.outputs[0]],
             f"{self.name}_padded",
@@ -92,7 +92,7 @@ class PadColor(_OutputRepair):
             shape=[rows, _RGB_CHANNEL_COUNT + 1],
             axis=1,
         )
-        append_output(graph, color, [column, joined])
+        append_output(graph, color, [column, concat_operation])
         return True
 
 
@@ -146,8 +146,8 @@ class RenameOutputs(_Repair):
             if new in used_names:
                 message = f"already exists, so output {old!r} cannot be renamed to it"
                 raise GsgenError(message, where=new)
-        inner = [value for node in graph for value in node.outputs]
-        for value in (*inner, *graph.initializers.values()):
+        inner_values = [value for node in graph for value in node.outputs]
+        for value in (*inner_values, *graph.initializers.values()):
             if value.name in renames.values() and value not in graph.outputs:
                 value.name = unused_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
@@ -199,7 +199,10 @@ class ReorderHarmonics(_OutputRepair):
             return False
         slots = np.arange(size).reshape(_RGB_CHANNEL_COUNT, -1).T.reshape(-1)
         order = weight(graph, f"{self.name}_order", slots)
-        gathered = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
-        gathered.outputs[0].type, gathered.outputs[0].shape = color.type, color.shape
-        append_output(graph, color, [gathered])
+        gather_operation = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
+        gather_operation.outputs[0].type, gather_operation.outputs[0].shape = (
+            color.type,
+            color.shape,
+        )
+        append_output(graph, color, [gather_operation])
         return True

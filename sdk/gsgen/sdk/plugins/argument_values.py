@@ -22,7 +22,7 @@ def convert(text: str, annotation: Any, where: str) -> Any:
     or tuple of those (separated by commas). ``where`` names the option in an error.
     """
     try:
-        return _converted_argument(text, annotation)
+        return _convert_argument(text, annotation)
     except ValueError as error:
         message = f"{text!r} is not {_describe_type(annotation)}"
         raise ConfigInvalid(message, where=where) from error
@@ -32,10 +32,10 @@ def convert(text: str, annotation: Any, where: str) -> Any:
         raise ConfigInvalid(message, where=where, hint=hint) from error
 
 
-def _converted_argument(text: str, annotation: Any) -> Any:
+def _convert_argument(text: str, annotation: Any) -> Any:
     origin = get_origin(annotation)
     if origin is Annotated:
-        return _converted_argument(text, get_args(annotation)[0])
+        return _convert_argument(text, get_args(annotation)[0])
     if origin in (Union, types.UnionType):
         return _parse_first_match(text, get_args(annotation))
     if origin is Literal:
@@ -64,7 +64,7 @@ def _parse_first_match(text: str, members: Sequence[Any]) -> Any:
     """Convert text by the first matching member of a union; str comes last since it always fits."""
     for member in sorted(members, key=lambda member_type: member_type in (str, Path, Any)):
         try:
-            return _converted_argument(text, member)
+            return _convert_argument(text, member)
         except (TypeError, ValueError):
             continue
     raise ValueError
@@ -77,7 +77,7 @@ def _convert_sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
         raise ValueError
     member_types = members if is_fixed_length else [members[0] if members else str] * len(items)
     values = [
-        _converted_argument(word, element_type)
+        _convert_argument(word, element_type)
         for word, element_type in zip(items, member_types, strict=True)
     ]
     return tuple(values) if kind is tuple else values

@@ -19,7 +19,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
 
-_VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_VARIADIC_PARAMETER_KINDS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,10 @@ class Factory:
 
     def _required_names(self) -> Iterator[str]:
         for name, parameter in self.parameters.items():
-            if parameter.default is parameter.empty and parameter.kind not in _VARIADIC:
+            if (
+                parameter.default is parameter.empty
+                and parameter.kind not in _VARIADIC_PARAMETER_KINDS
+            ):
                 yield name
 
     def _type_of_argument(self, key: str) -> Any:
@@ -75,7 +78,11 @@ class Factory:
         variadic_parameters = [
             parameter for parameter in known.values() if parameter.kind == parameter.VAR_KEYWORD
         ]
-        names = {name for name, parameter in known.items() if parameter.kind not in _VARIADIC}
+        names = {
+            name
+            for name, parameter in known.items()
+            if parameter.kind not in _VARIADIC_PARAMETER_KINDS
+        }
         if key not in names:
             if variadic_parameters and key.isidentifier():
                 return str

@@ -147,7 +147,7 @@ def compare_files(
             compared_names |= {
                 name for name, value in expected.items() if _has_finite_values(value)
             }
-            for difference in _differences(expected, actual, probe, allowed):
+            for difference in _output_differences(expected, actual, probe, allowed):
                 known = worst_difference.get(difference.output)
                 if known is None or _difference_excess(difference) > _difference_excess(known):
                     worst_difference[difference.output] = difference
@@ -213,7 +213,7 @@ def _difference_excess(difference: Difference) -> float:
     )
 
 
-def _differences(
+def _output_differences(
     source: Mapping[str, np.ndarray],
     rewritten: Mapping[str, np.ndarray],
     probe: Probe,

@@ -20,6 +20,6 @@ def refuse_new_violations(before: Report, after: Report, operation: str) -> None
     evaluated_rules = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
     new_violations = (errors(after) - errors(before)) & evaluated_rules
     if new_violations:
-        listed = ", ".join(sorted(new_violations))
-        message = f"the {operation} model would break {listed}, which the source keeps"
+        listed_violations = ", ".join(sorted(new_violations))
+        message = f"the {operation} model would break {listed_violations}, which the source keeps"
         raise GsgenError(message, where=before.path)

@@ -168,8 +168,10 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
         for run in behaviour.trial_runs("survey")
         if run.extremes is not None and run.probe.label.startswith(SIDE_LABEL)
     }
-    empty = [label for label, count in counts.items() if count == 0]
-    if empty and len(empty) < len(counts):
-        actual = f"0 at {len(empty)} of {len(counts)} probes, first {empty[0]!r}"
+    empty_view_labels = [label for label, count in counts.items() if count == 0]
+    if empty_view_labels and len(empty_view_labels) < len(counts):
+        actual = (
+            f"0 at {len(empty_view_labels)} of {len(counts)} probes, first {empty_view_labels[0]!r}"
+        )
         expected = "rows for every camera that sees the bounds"
         yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")

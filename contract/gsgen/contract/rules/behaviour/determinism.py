@@ -13,7 +13,7 @@ from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 
-def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
+def _difference_violations(comparison: Comparison, expected: str) -> Iterator[Violation]:
     for name, largest in comparison.changed.items():
         actual = f"differs by up to {largest:.3g} at probe {comparison.first!r}"
         yield Violation.at(f"output {name}", actual, expected)
@@ -30,7 +30,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
         Call model.eval() before the export, which switches Dropout off; draw random numbers before
         export and store them as weights.
     """
-    yield from _differences(behaviour.repeated, "the same bits as the run before")
+    yield from _difference_violations(behaviour.repeated, "the same bits as the run before")
 
 
 @rule("GB002", Severity.ERROR, needs=("GV025", "GB001"), kinds=MANIFEST_KINDS)
@@ -45,7 +45,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     """
     if behaviour.revisited_pair is not None:
         expected = "the same bits as before other inputs were run"
-        yield from _differences(behaviour.revisited_pair, expected)
+        yield from _difference_violations(behaviour.revisited_pair, expected)
 
 
 @rule("GB003", Severity.WARNING, needs=(*REPRODUCIBLE, "GV054"))
@@ -143,4 +143,4 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     for role, comparisons in behaviour.comparisons_by_role.items():
         if _is_camera_role(behaviour.subject, role) and not _declares_dependence(behaviour, role):
             for comparison in comparisons:
-                yield from _differences(comparison, f"the same at every {role}")
+                yield from _difference_violations(comparison, f"the same at every {role}")

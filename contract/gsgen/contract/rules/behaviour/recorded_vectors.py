@@ -55,7 +55,7 @@ def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     for index, vector in enumerate(manifest.test_vectors if manifest else ()):
         if vector.outputs:
             continue  # GM037 compares the numbers themselves
-        location, result = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
+        location, result = f"manifest test_vectors.{index}", _vector_outcome(behaviour, vector)
         if isinstance(result, Violation):
             yield replace(result, where=Location(location))
         elif result != vector.expected_sha256:
@@ -63,7 +63,7 @@ def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(location, f"sha256 {result}", expected, certainty="possible")
 
 
-def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
+def _vector_outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     """Return the digest of the model's outputs for a test vector's inputs, or a violation."""
     manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
     assert manifest is not None

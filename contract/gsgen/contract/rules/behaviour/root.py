@@ -66,9 +66,7 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
             and np.linalg.norm(mean_motion - translation) > _MAX_VALUE_ERROR * length
         ):
             factor = float(np.linalg.norm(mean_motion)) / length
-            actual = (
-                f"a translation by {_vector(translation)} moves all rows by {_vector(mean_motion)}"
-            )
+            actual = f"a translation by {_vector_text(translation)} moves all rows by {_vector_text(mean_motion)}"
             cause = (
                 "the translation is rotated, so it is added before the rotation"
                 if abs(factor - 1) <= _MAX_VALUE_ERROR
@@ -79,7 +77,7 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
             return
 
 
-def _vector(vector: Float[np.ndarray, "3"]) -> str:
+def _vector_text(vector: Float[np.ndarray, "3"]) -> str:
     return f"({', '.join(f'{value:.3g}' for value in vector)})"
 
 

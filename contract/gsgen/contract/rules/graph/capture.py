@@ -304,9 +304,13 @@ def _does_copy_input(graph: Graph, node: NodeProto) -> bool:
     )
     axes_inputs = [name for name in node.input[1:2] if name]
     axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
-    empty = not axes_inputs or (axes is not None and axes.dims is not None and 0 in axes.dims)
+    are_axes_empty = not axes_inputs or (
+        axes is not None and axes.dims is not None and 0 in axes.dims
+    )
     return is_copy(
-        node.op_type, len(node.input), keeps_all_axes=is_idle and empty and not has_axes_attribute
+        node.op_type,
+        len(node.input),
+        keeps_all_axes=is_idle and are_axes_empty and not has_axes_attribute,
     )
 
 

@@ -85,8 +85,8 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     """
     tensor = subject.gaussians
     if tensor is not None and (tensor.dims is None or len(tensor.dims) != 2):
-        is_flat = tensor.dims is not None and len(tensor.dims) == 1
-        expected = "two axes, [N, 10]" + ("; these rows are flattened" if is_flat else "")
+        is_rank_1 = tensor.dims is not None and len(tensor.dims) == 1
+        expected = "two axes, [N, 10]" + ("; these rows are flattened" if is_rank_1 else "")
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 

@@ -75,15 +75,18 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
     for entry, series in _iterate_series(behaviour):
         assert entry.range is not None
         low, high = entry.range
-        inner = [outputs for value, outputs in series if low < value < high]
+        inner_outputs = [outputs for value, outputs in series if low < value < high]
         ends = [outputs for value, outputs in series if value in (low, high)]
-        if len(inner) < _MIN_INSTANT_COUNT or not ends:
+        if len(inner_outputs) < _MIN_INSTANT_COUNT or not ends:
             continue
         is_still = not any(
-            _do_outputs_differ(inner[0], outputs, tolerances) for outputs in inner[1:]
+            _do_outputs_differ(inner_outputs[0], outputs, tolerances)
+            for outputs in inner_outputs[1:]
         )
-        if is_still and any(_do_outputs_differ(inner[0], outputs, tolerances) for outputs in ends):
-            actual = f"{len(inner)} instants within {low:g} to {high:g} are the same; only an end differs"
+        if is_still and any(
+            _do_outputs_differ(inner_outputs[0], outputs, tolerances) for outputs in ends
+        ):
+            actual = f"{len(inner_outputs)} instants within {low:g} to {high:g} are the same; only an end differs"
             expected = "change throughout the range"
             yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
 
@@ -158,9 +161,16 @@ def _input_series(behaviour: Behaviour, entry: Input) -> OutputSeries:
     for run in behaviour.runs(range(len(behaviour.trial.execution.runs))):
         inputs = run.probe.inputs
         value = float(inputs[entry.name].reshape(-1)[0])
-        is_same = all(np.array_equal(inputs[name], base[name]) for name in other_names)
-        is_same &= low <= value <= high
-        if is_same and run.digest and run.probe.optimise and value not in outputs_by_value:
+        are_other_inputs_same = all(
+            np.array_equal(inputs[name], base[name]) for name in other_names
+        )
+        are_other_inputs_same &= low <= value <= high
+        if (
+            are_other_inputs_same
+            and run.digest
+            and run.probe.optimise
+            and value not in outputs_by_value
+        ):
             outputs_by_value[value] = _run_outputs(behaviour, run)
     return sorted(outputs_by_value.items(), key=lambda item: item[0])
 

@@ -156,8 +156,8 @@ def _may_be_too_small(
     A power shows in the spread of the sizes, wrong units only where Gaussians are dense or follow
     their neighbours.
     """
-    single, doubled_result = revert_mistake(np.array([1.0, 2.0]))
-    if doubled_result == 2 * single:  # the mistake is a factor
+    single_result, doubled_result = revert_mistake(np.array([1.0, 2.0]))
+    if doubled_result == 2 * single_result:  # the mistake is a factor
         return sample.count >= _MIN_DENSE_COUNT or _are_aligned_with_neighbours(sample)
     return float(np.log(sample.sigma[:, 2]).std()) >= _MIN_POWER_SPREAD
 

@@ -184,10 +184,10 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
     if rows_behind_camera is None or not rows_before_camera or declared is None:
         return
     hidden_share = float(np.mean(rows_behind_camera.drawn))
-    visible = max(float(np.mean(entry.drawn)) for entry in rows_before_camera)
-    if hidden_share > 0 and visible <= _MAX_VISIBLE_RATIO * hidden_share:
+    visible_share = max(float(np.mean(entry.drawn)) for entry in rows_before_camera)
+    if hidden_share > 0 and visible_share <= _MAX_VISIBLE_RATIO * hidden_share:
         actual = (
-            f"{visible:.1%} of the rows are drawn where the camera looks at the scene, "
+            f"{visible_share:.1%} of the rows are drawn where the camera looks at the scene, "
             f"{hidden_share:.1%} where it looks away"
         )
         yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")

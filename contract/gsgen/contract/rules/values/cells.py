@@ -184,12 +184,12 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
         return
     checked = _finite_mask(cells) & (cells[:, VISIBILITY] > 0)
     upper = np.where(checked[:, None], cells[:, COVARIANCE], 0).astype(np.float64)
-    slack, floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
+    slack, eigenvalue_floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
     min_eigenvalue = smallest_eigenvalue(upper)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
     yield Violation.rows(
         Location(emission.cells_label, "covariance"),
-        checked & ~(min_eigenvalue >= -slack * size - floor),
+        checked & ~(min_eigenvalue >= -slack * size - eigenvalue_floor),
         min_eigenvalue,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=int(np.count_nonzero(checked)),
@@ -237,13 +237,13 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     if emission.cells is None:
         return
     visibility = emission.cells[:, VISIBILITY].astype(np.float32)
-    empty = ~_live_cells(emission)
+    empty_mask = ~_live_cells(emission)
     yield Violation.rows(
         Location(emission.cells_label, "visibility"),
-        empty & np.isfinite(visibility) & (visibility != 0),
+        empty_mask & np.isfinite(visibility) & (visibility != 0),
         visibility,
         "visibility 0 in cells behind the count",
-        checked=int(np.count_nonzero(empty)),
+        checked=int(np.count_nonzero(empty_mask)),
         magnitude=visibility,
     )
 
@@ -269,12 +269,12 @@ def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     size = _CELL_EXTENT_SIGMAS * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):
         size += FLOAT16_EPSILON * np.abs(float_cells[:, POSITION]).sum(axis=1)
-    visible = np.isfinite(float_cells).all(axis=1) & (float_cells[:, VISIBILITY] > 0)
-    centre, cell_radius, visible = (
+    visible_mask = np.isfinite(float_cells).all(axis=1) & (float_cells[:, VISIBILITY] > 0)
+    centre, cell_radius, visible_mask = (
         np.repeat(values, _rows_per_cell(emission), axis=0)[: len(live)]
-        for values in (float_cells[:, POSITION], size, visible)
+        for values in (float_cells[:, POSITION], size, visible_mask)
     )
-    drawn = visible & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
+    drawn = visible_mask & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
     center_distance = np.linalg.norm(live[:, POSITION] - centre, axis=1)
     yield Violation.rows(
         Location(emission.rows_label, "position"),

@@ -61,7 +61,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
         so that variances do not underflow.
     """
-    slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
+    slack, eigenvalue_floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
     has_variances = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
     suspects = np.flatnonzero(rows.drawn & has_variances & ~_psd_mask(rows, slack))
     is_indefinite = np.zeros(len(rows), bool)
@@ -70,7 +70,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
         upper = rows.covariance[:, suspects].T.astype(np.float64)
         trace = upper[:, [0, 3, 5]].sum(axis=1)
         min_eigenvalue[suspects] = smallest_eigenvalue(upper)
-        is_indefinite[suspects] = ~(min_eigenvalue[suspects] >= -slack * trace - floor)
+        is_indefinite[suspects] = ~(min_eigenvalue[suspects] >= -slack * trace - eigenvalue_floor)
     yield Violation.rows(
         Location(rows.emission.rows_label, "covariance"),
         is_indefinite,

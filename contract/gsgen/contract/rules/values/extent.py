@@ -156,8 +156,8 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     position, (lower_corner, upper_corner) = rows.position, rows.corners
     is_outside = np.zeros(len(rows), bool)
     if not ((lower_corner >= low - slack) & (upper_corner <= high + slack)).all():
-        is_inside = (position >= (low - slack)[:, None]) & (position <= (high + slack)[:, None])
-        is_outside = rows.drawn & ~is_inside.all(axis=0)
+        inside_mask = (position >= (low - slack)[:, None]) & (position <= (high + slack)[:, None])
+        is_outside = rows.drawn & ~inside_mask.all(axis=0)
         if rows.packed.dtype == np.float16:  # GV010 reports saturated rows
             is_outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
     yield Violation.rows(

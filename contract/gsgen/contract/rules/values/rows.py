@@ -221,10 +221,10 @@ def _diagnose_padding(emission: ModelOutputs) -> str:
     """Return the likely cause of visible padding rows, for a message; empty if unclear."""
     if emission.gaussians is None:
         return ""
-    visible = emission.gaussians[:, OPACITY] != 0
-    if not visible[: emission.count].all():
+    visible_mask = emission.gaussians[:, OPACITY] != 0
+    if not visible_mask[: emission.count].all():
         return (
-            f"; of the {emission.count} rows before it {np.count_nonzero(visible[: emission.count])}"
+            f"; of the {emission.count} rows before it {np.count_nonzero(visible_mask[: emission.count])}"
             " are visible: live rows do not stand first, sort them to the front"
         )
     return ""

@@ -225,16 +225,16 @@ return py.dict([]);
 get _ancestors_by_name() { return py.cached(this, "_ancestors_by_name", this.__ancestors_by_name); }
 _trace_ancestors(name) {
   const self = this;
-  let key, names, node, nodes, queue, visited;
+  let key, names, node, nodes, queue, visited_keys;
 [names, nodes, queue] = [py.set([name]), [], [name]];
-visited = py.set();
+visited_keys = py.set();
 while (py.bool(queue)) {
 node = py.get(self.producers, queue.pop());
 key = node;
-if (((node == null) || (py.contains(visited, key)))) {
+if (((node == null) || (py.contains(visited_keys, key)))) {
 continue;
 }
-visited.add(key);
+visited_keys.add(key);
 nodes.push(node);
 for (name of py.iter(py.item(self._names_read_by_node, key))) {
 if ((!py.contains(names, name))) {
@@ -1080,11 +1080,11 @@ outputs = py.or(py.list((function* () { for (const tensor of py.iter(subject.gra
 yield py.violation("outputs", `no packed Gaussians among ${py.str(outputs)}`, `one [N, ${py.str(10)}] output`);
 }
 function* gaussians_rank_2$outputs(subject) {
-  let expected, is_flat, tensor;
+  let expected, is_rank_1, tensor;
 tensor = subject.gaussians;
 if (((tensor != null) && ((tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2))))) {
-is_flat = py.and((tensor.dims != null), () => (py.eq(py.len(tensor.dims), 1)));
-expected = (py.plus("two axes, [N, 10]", (py.bool(is_flat) ? "; these rows are flattened" : "")));
+is_rank_1 = py.and((tensor.dims != null), () => (py.eq(py.len(tensor.dims), 1)));
+expected = (py.plus("two axes, [N, 10]", (py.bool(is_rank_1) ? "; these rows are flattened" : "")));
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected);
 }
 }
@@ -1459,7 +1459,7 @@ yield py.violation(location, actual, "Where or Concat");
 }
 }
 function _does_copy_input$capture(graph, node) {
-  let axes, axes_inputs, empty, has_axes_attribute, is_idle;
+  let are_axes_empty, axes, axes_inputs, has_axes_attribute, is_idle;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
 }
@@ -1467,8 +1467,8 @@ is_idle = py.list((function* () { for (const attribute of py.iter(node.attribute
 has_axes_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
 axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
-empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
-return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => empty, () => !py.bool(has_axes_attribute)));
+are_axes_empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
+return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => are_axes_empty, () => !py.bool(has_axes_attribute)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
 if ((py.contains(VIEW_OPERATORS$23, operator))) {

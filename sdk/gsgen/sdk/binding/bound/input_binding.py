@@ -89,7 +89,7 @@ class InputBinding:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
             raise self._invalid_error(f"the value is {array.dtype}, expected {self.dtype}")
-        return self._converted_to_dtype(array)
+        return self._convert_to_dtype(array)
 
     def default(self) -> np.ndarray:
         """Return the tensor that a model input has until the caller sets a value."""
@@ -98,7 +98,7 @@ class InputBinding:
         tensor = default_tensor(self.declared, self.shape)
         return np.ascontiguousarray(tensor.T if self.transposed else tensor, self.dtype)
 
-    def _converted_to_dtype(self, array: np.ndarray) -> np.ndarray:
+    def _convert_to_dtype(self, array: np.ndarray) -> np.ndarray:
         if self.dtype.kind in "iu" and array.size:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):
@@ -137,7 +137,7 @@ def _identity_values(role: str, shape: tuple[int, ...]) -> np.ndarray:
     """Return the identity transform in a given shape: a matrix, quaternions or rotation vectors."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])
-    identity = np.zeros(shape)  # rotation vectors
+    identity_values = np.zeros(shape)  # rotation vectors
     if shape[-1:] == (4,):
-        identity[..., 0] = 1.0  # quaternions (w, x, y, z)
-    return identity
+        identity_values[..., 0] = 1.0  # quaternions (w, x, y, z)
+    return identity_values

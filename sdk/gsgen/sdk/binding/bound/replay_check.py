@@ -76,8 +76,8 @@ def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Return max |a − b| where ``a`` is finite; infinite if ``b`` is not finite there."""
     if a.shape != b.shape:
         return float("inf")
-    is_known = np.isfinite(a)
-    return differences.largest_difference(a[is_known], b[is_known])
+    finite_mask = np.isfinite(a)
+    return differences.largest_difference(a[finite_mask], b[finite_mask])
 
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:

@@ -127,8 +127,8 @@ class _Session:
         }
 
     def _place_output_array(self, buffer: Any) -> list[Any]:
-        place: SharedArraySlot = self._shared_memory.place_of(buffer.host)
-        return [place.offset, list(place.shape), place.dtype.name]
+        array_slot: SharedArraySlot = self._shared_memory.place_of(buffer.host)
+        return [array_slot.offset, list(array_slot.shape), array_slot.dtype.name]
 
     def _reply_to_message(self, session: WarmSession, message: Message) -> Message:
         if "read" in message:

@@ -76,13 +76,13 @@ class SharedMemory(HostMemory):
             RunFailed: The shared memory has no room for it.
         """
         size = math.prod(shape) * dtype.itemsize
-        place = SharedArraySlot(self._end_offset, shape, dtype)
+        array_slot = SharedArraySlot(self._end_offset, shape, dtype)
         if not 0 <= size <= self._size - self._end_offset:
             limit = f"the {(self._size - self._end_offset) >> 20:,} MiB left of the memory limit (--memory)"
-            taken = f"a tensor of shape {list(shape)} takes {size / 1e9:.1f} GB"
-            raise RunFailed(f"{taken}, more than {limit}")
+            taken_text = f"a tensor of shape {list(shape)} takes {size / 1e9:.1f} GB"
+            raise RunFailed(f"{taken_text}, more than {limit}")
         self._end_offset += -(-size // _ALIGNMENT) * _ALIGNMENT
-        result = self.array_at(place)
+        result = self.array_at(array_slot)
         result[...] = np.zeros((), dtype)
         return result
 
@@ -97,13 +97,13 @@ class SharedMemory(HostMemory):
             array.__array_interface__["data"][0] - start, array.shape, array.dtype
         )
 
-    def array_at(self, place: SharedArraySlot) -> np.ndarray:
+    def array_at(self, array_slot: SharedArraySlot) -> np.ndarray:
         """Return the array at a place that another process names.
 
         Raises:
             RunFailed: The place is outside of the memory.
         """
-        offset, shape, dtype = place
+        offset, shape, dtype = array_slot
         size = math.prod(shape) * dtype.itemsize
         if min(offset, *shape, 0) < 0 or size > self._size - offset or dtype.hasobject:
             raise RunFailed(f"an array of shape {list(shape)} is outside of the shared memory")

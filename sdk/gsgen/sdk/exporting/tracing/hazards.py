@@ -223,12 +223,12 @@ class HazardWatch(TorchFunctionMode):
             self._record_hazard("state", f"{type(module).__name__}.{name}, ")
             if (id(module), name) not in self._saved_attribute_keys:
                 self._saved_attribute_keys.add((id(module), name))
-                is_known = name in module.__dict__
+                is_known_attribute = name in module.__dict__
                 old_value = module.__dict__.get(name)
                 if name in module._buffers:
                     buffer = module._buffers[name]
                     self._undo_steps.append(lambda: module._buffers.update({name: buffer}))
-                elif is_known:
+                elif is_known_attribute:
                     self._undo_steps.append(lambda: module.__dict__.update({name: old_value}))
                 else:
                     self._undo_steps.append(lambda: module.__dict__.pop(name, None))

@@ -201,9 +201,9 @@ def _is_masked_write(func: Any, args: Any) -> bool:
     """Return whether one value, or one row, is written where a mask is true: ``x[mask] = value``."""
     if func.overloadpacket not in _INDEX_OVERLOAD_PACKETS[1:] or not _is_mask(args[1][0]):
         return False
-    target, (mask, *others), value = args[:3]
+    target, (mask, *other_indices), value = args[:3]
     row_shape = target.shape[mask.ndim :]
-    return not others and (value.numel() == 1 or value.shape == row_shape)
+    return not other_indices and (value.numel() == 1 or value.shape == row_shape)
 
 
 def _write_values_by_mask(func: Any, args: Any) -> Tensor:

@@ -171,8 +171,8 @@ def _widen_indices(model: ir.Model) -> None:
         if indices is not None and indices.dtype == ir.DataType.INT32:
             write = InsertionPoint(node)
             int64 = ir.DataType.INT64
-            cast = write.op("Cast", indices, dtype=int64, shape=indices.shape, to=int(int64))
-            node.replace_input_with(1, cast)
+            cast_value = write.op("Cast", indices, dtype=int64, shape=indices.shape, to=int(int64))
+            node.replace_input_with(1, cast_value)
 
 
 @contextmanager

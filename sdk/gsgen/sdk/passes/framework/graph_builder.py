@@ -157,8 +157,8 @@ class InsertionPoint:
         """
         for old_value, new in zip(self.node.outputs, values, strict=True):
             producer = new.producer()
-            is_new = producer is not None and producer.graph is self.graph
-            if old_value.is_graph_output() and (not is_new or new.is_graph_output()):
+            is_new_node = producer is not None and producer.graph is self.graph
+            if old_value.is_graph_output() and (not is_new_node or new.is_graph_output()):
                 new = self.op("Identity", new, shape=new.shape)
             replace_value(old_value, new)
         self.graph.remove(self.node, safe=True)

@@ -31,7 +31,7 @@ def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
             return None  # the runtime reports the error itself
 
 
-def _binary(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
+def _binary_evaluator(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
         first_input, second_input = inputs
         assert first_input is not None
@@ -51,7 +51,7 @@ def _variadic_evaluator(compute: Callable[[np.ndarray, np.ndarray], np.ndarray])
     return run
 
 
-def _unary(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
+def _unary_evaluator(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
         assert inputs[0] is not None
         return np.asarray(compute(inputs[0]))
@@ -67,7 +67,7 @@ def _divide_toward_zero(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.where((a < 0) != (b < 0), -quotient, quotient), a.dtype)
 
 
-def _modulo(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_modulo(node: ir.Node, inputs: Arrays) -> np.ndarray:
     a, b = inputs
     assert a is not None
     assert b is not None
@@ -89,7 +89,7 @@ def _first_input(inputs: Arrays) -> np.ndarray:
     return inputs[0]
 
 
-def _reduce(compute: Callable[..., np.ndarray]) -> "Evaluator":
+def _reduction_evaluator(compute: Callable[..., np.ndarray]) -> "Evaluator":
     def run(node: ir.Node, inputs: Arrays) -> np.ndarray:
         axes, array = _axes(node, inputs), _first_input(inputs)
         if not axes and int_attribute(node, "noop_with_empty_axes", 0):
@@ -101,16 +101,16 @@ def _reduce(compute: Callable[..., np.ndarray]) -> "Evaluator":
     return run
 
 
-def _squeeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_squeeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return np.squeeze(_first_input(inputs), _axes(node, inputs))
 
 
-def _unsqueeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_unsqueeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
     axes = required(_axes(node, inputs))
     return np.expand_dims(_first_input(inputs), axes)
 
 
-def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     array, shape = _first_input(inputs), required(inputs[1])
     sizes = [int(size) for size in shape]
     if not int_attribute(node, "allowzero", 0):
@@ -118,12 +118,12 @@ def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return array.reshape(sizes)
 
 
-def _gather(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_gather(node: ir.Node, inputs: Arrays) -> np.ndarray:
     index = required(inputs[1])
     return np.asarray(np.take(_first_input(inputs), index, axis=int_attribute(node, "axis", 0)))
 
 
-def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
     array = _first_input(inputs)
     if len(inputs) < 3:
         raise TypeError  # operator set 9 and before: attributes
@@ -143,7 +143,7 @@ def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return array[tuple(slices)]
 
 
-def _cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
     array, kind = _first_input(inputs), ir.DataType(node.attributes["to"].as_int())
     if kind.is_string():
         raise TypeError
@@ -156,7 +156,7 @@ def _cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return array.astype(dtype)
 
 
-def _concat(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_concat(node: ir.Node, inputs: Arrays) -> np.ndarray:
     parts = [array for array in inputs if array is not None]
     return np.concatenate(parts, axis=node.attributes["axis"].as_int())
 
@@ -175,18 +175,18 @@ def _evaluate_expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
     return np.broadcast_to(array, whole)
 
 
-def _transpose(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_transpose(node: ir.Node, inputs: Arrays) -> np.ndarray:
     order = node.attributes.get("perm")
     return _first_input(inputs).transpose(None if order is None else list(order.as_ints()))
 
 
-def _constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     value = node.attributes.get("value")
     fill_value = np.zeros(1, np.float32) if value is None else value.as_tensor().numpy()
     return np.full([int(size) for size in _first_input(inputs)], fill_value.reshape(-1)[0])
 
 
-def _range(_: ir.Node, inputs: Arrays) -> np.ndarray:
+def _evaluate_range(_: ir.Node, inputs: Arrays) -> np.ndarray:
     start, limit, step = (array.reshape(()) for array in inputs if array is not None)
     if start.dtype.kind == "f" and not _are_whole_numbers(start, limit, step):
         raise ValueError  # the rounding of start + i · step is not specified
@@ -200,30 +200,30 @@ def _are_whole_numbers(*numbers: np.ndarray) -> bool:
 
 Evaluator = Callable[[ir.Node, Arrays], np.ndarray]
 _EVALUATORS_FOR_ANY_DTYPE: dict[str, Evaluator] = {
-    "Cast": _cast,
-    "Concat": _concat,
-    "ConstantOfShape": _constant_of_shape,
-    "Equal": _binary(np.equal),
+    "Cast": _evaluate_cast,
+    "Concat": _evaluate_concat,
+    "ConstantOfShape": _evaluate_constant_of_shape,
+    "Equal": _binary_evaluator(np.equal),
     "Expand": _evaluate_expand,
-    "Gather": _gather,
-    "Greater": _binary(np.greater),
-    "GreaterOrEqual": _binary(np.greater_equal),
-    "Identity": _unary(lambda a: a),
-    "Less": _binary(np.less),
-    "LessOrEqual": _binary(np.less_equal),
-    "Range": _range,
-    "Reshape": _reshape,
-    "Slice": _slice,
-    "Squeeze": _squeeze,
-    "Transpose": _transpose,
-    "Unsqueeze": _unsqueeze,
+    "Gather": _evaluate_gather,
+    "Greater": _binary_evaluator(np.greater),
+    "GreaterOrEqual": _binary_evaluator(np.greater_equal),
+    "Identity": _unary_evaluator(lambda a: a),
+    "Less": _binary_evaluator(np.less),
+    "LessOrEqual": _binary_evaluator(np.less_equal),
+    "Range": _evaluate_range,
+    "Reshape": _evaluate_reshape,
+    "Slice": _evaluate_slice,
+    "Squeeze": _evaluate_squeeze,
+    "Transpose": _evaluate_transpose,
+    "Unsqueeze": _evaluate_unsqueeze,
     "Where": _evaluate_where,
 }
 _EVALUATORS_FOR_INTEGERS: dict[str, Evaluator] = {
-    "Abs": _unary(np.abs), "Add": _binary(np.add), "And": _binary(np.logical_and),
-    "Div": _binary(_divide_toward_zero), "Max": _variadic_evaluator(np.maximum), "Min": _variadic_evaluator(np.minimum),
-    "Mod": _modulo, "Mul": _binary(np.multiply), "Neg": _unary(np.negative),
-    "Not": _unary(np.logical_not), "Or": _binary(np.logical_or), "ReduceMax": _reduce(np.max),
-    "ReduceMin": _reduce(np.min), "ReduceProd": _reduce(np.prod), "ReduceSum": _reduce(np.sum),
-    "Sub": _binary(np.subtract), "Xor": _binary(np.logical_xor),
+    "Abs": _unary_evaluator(np.abs), "Add": _binary_evaluator(np.add), "And": _binary_evaluator(np.logical_and),
+    "Div": _binary_evaluator(_divide_toward_zero), "Max": _variadic_evaluator(np.maximum), "Min": _variadic_evaluator(np.minimum),
+    "Mod": _evaluate_modulo, "Mul": _binary_evaluator(np.multiply), "Neg": _unary_evaluator(np.negative),
+    "Not": _unary_evaluator(np.logical_not), "Or": _binary_evaluator(np.logical_or), "ReduceMax": _reduction_evaluator(np.max),
+    "ReduceMin": _reduction_evaluator(np.min), "ReduceProd": _reduction_evaluator(np.prod), "ReduceSum": _reduction_evaluator(np.sum),
+    "Sub": _binary_evaluator(np.subtract), "Xor": _binary_evaluator(np.logical_xor),
 }  # fmt: skip

@@ -63,12 +63,12 @@ class GatherSlices(SubstituteNodes):
             write.replace(*_split_slices(write, node, x))
         elif is_op(node, "Slice"):  # Case 2
             parts = required(_axis_indices(node))
-            gathered = x
+            gathered_value = x
             for axis, indices in parts:
-                gathered = write.op(
-                    "Gather", gathered, write.constant(indices, "places"), axis=axis
+                gathered_value = write.op(
+                    "Gather", gathered_value, write.constant(indices, "places"), axis=axis
                 )
-            write.replace(gathered if parts else write.op("Identity", x))
+            write.replace(gathered_value if parts else write.op("Identity", x))
         else:  # Case 3
             write.replace(_gather_nd(write, node, x))
 

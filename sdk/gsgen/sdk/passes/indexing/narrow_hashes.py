@@ -130,7 +130,7 @@ class _RemainderMatch:
     def _computed_hash_digits(self, value: ir.Value) -> ir.Value:
         known = constant_of(value)
         if known is not None:
-            return self._constant(np.mod(known, 1 << self.bits))
+            return self._write_constant(np.mod(known, 1 << self.bits))
         node = value.producer()
         if node is not None and is_op(node, "BitwiseXor"):  # Case 2
             return self._xor_digits(*(self.remainder_of(required(entry)) for entry in node.inputs))
@@ -146,7 +146,7 @@ class _RemainderMatch:
         span = self.spans.get(value.name or "")
         if not fits_int32(span):
             raise _UnprovableRange(f"values of tensor {value.name} may leave the range of int32")
-        return self._reduce_to_range(self._cast(value), *required(span))
+        return self._reduce_to_range(self._write_cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
         """Return a sum, a difference or a product modulo 2ᵏ, computed by ONNX nodes."""
@@ -175,7 +175,7 @@ class _RemainderMatch:
             raise _UnprovableRange(
                 f"the product of {a.name} and a hash factor (modulo {size}) may leave the range of int32"
             )
-        product = self.write.op("Mul", self._cast(a), self._constant(factor))
+        product = self.write.op("Mul", self._write_cast(a), self._write_constant(factor))
         return self._reduce_to_range(product, -most, most)
 
     def _reduce_to_range(self, value: ir.Value, low: float, high: float) -> ir.Value:
@@ -189,11 +189,11 @@ class _RemainderMatch:
                 raise _UnprovableRange(
                     f"values of tensor {value.name} may leave the range of int32"
                 )
-            value = self.write.op("Add", value, self._constant(np.array(offset)))
+            value = self.write.op("Add", value, self._write_constant(np.array(offset)))
         return self._low_bits(value, self.bits)
 
     def _low_bits(self, value: ir.Value, bits: int) -> ir.Value:
-        size = self._constant(np.array(1 << bits))
+        size = self._write_constant(np.array(1 << bits))
         multiple_of_size = self.write.op("Mul", self.write.op("Div", value, size), size)
         return self.write.op("Sub", value, multiple_of_size)
 
@@ -201,24 +201,26 @@ class _RemainderMatch:
         """Return the exclusive or of two values below 2ᵏ, by a look-up for every seven bits."""
         op, table_size = self.write.op, 1 << _TABLE_BITS
         first_digits, second_digits = np.indices((table_size, table_size))
-        table = self._constant((first_digits ^ second_digits).reshape(-1))
+        table = self._write_constant((first_digits ^ second_digits).reshape(-1))
         total: ir.Value | None = None
         for start in range(0, self.bits, _TABLE_BITS):
-            scale = self._constant(np.array(1 << start))
+            scale = self._write_constant(np.array(1 << start))
             a_digit, b_digit = (
                 self._low_bits(op("Div", value, scale) if start else value, _TABLE_BITS)
                 for value in (a, b)
             )
-            index = op("Add", op("Mul", a_digit, self._constant(np.array(table_size))), b_digit)
+            index = op(
+                "Add", op("Mul", a_digit, self._write_constant(np.array(table_size))), b_digit
+            )
             digit = op("Gather", table, index, axis=0)
             shifted_digit = op("Mul", digit, scale) if start else digit
             total = shifted_digit if total is None else op("Add", total, shifted_digit)
         return required(total)
 
-    def _cast(self, value: ir.Value) -> ir.Value:
+    def _write_cast(self, value: ir.Value) -> ir.Value:
         if value.dtype == _INT32:
             return value
         return self.write.op("Cast", value, dtype=_INT32, shape=value.shape, to=int(_INT32))
 
-    def _constant(self, array: np.ndarray) -> ir.Value:
+    def _write_constant(self, array: np.ndarray) -> ir.Value:
         return self.write.constant(array.astype(np.int32), "hash")

@@ -15,7 +15,12 @@ from gsgen.sdk.passes.indexing.gather_scatters import (
     scatter_targets,
 )
 
-_REDUCTIONS = {"add": "ReduceSum", "mul": "ReduceProd", "max": "ReduceMax", "min": "ReduceMin"}
+_OPERATOR_BY_REDUCTION = {
+    "add": "ReduceSum",
+    "mul": "ReduceProd",
+    "max": "ReduceMax",
+    "min": "ReduceMin",
+}
 # The number that a sum or a product does not change; extremes repeat an element instead.
 _NEUTRAL_BY_REDUCTION = {"add": 0, "mul": 1}
 # The table of groups is at most this many times as large as the tensors that it gathers from.
@@ -42,7 +47,8 @@ class ReduceScatters(CautiousNodeRewrite):
     def matches(self, node: ir.Node) -> bool:
         """Return whether a node is a scatter with a reduction."""
         return (
-            is_op(node, "ScatterElements", "ScatterND") and _scatter_reduction(node) in _REDUCTIONS
+            is_op(node, "ScatterElements", "ScatterND")
+            and _scatter_reduction(node) in _OPERATOR_BY_REDUCTION
         )
 
     def obstacle(self, node: ir.Node) -> str:
@@ -98,5 +104,5 @@ def _replace(node: ir.Node, targets: ScatterTargets, groups: np.ndarray, reducti
     joined_rows = write.op("Concat", *parts, axis=0)
     index = np.where(groups < 0, padding, groups)
     gathered_rows = write.op("Gather", joined_rows, write.constant(index, "groups"), axis=0)
-    reduced = write.op(_REDUCTIONS[reduction], gathered_rows, write.int64(1), keepdims=0)
+    reduced = write.op(_OPERATOR_BY_REDUCTION[reduction], gathered_rows, write.int64(1), keepdims=0)
     write.replace(write.op("Reshape", reduced, write.int64(*required(fixed_shape(data)))))

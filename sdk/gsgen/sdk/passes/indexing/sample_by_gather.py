@@ -174,8 +174,8 @@ class _Sampler:
     def _clamp_index(self, value: ir.Value, last: ir.Value) -> ir.Value:
         """Clamp pixel coordinates to the pixels of an axis; NaN becomes 0."""
         op, zero = self.before.op, self.number(0)
-        positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
-        nonnegative_value = op("Where", positive, value, zero, dtype=self.dtype)
+        is_positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
+        nonnegative_value = op("Where", is_positive, value, zero, dtype=self.dtype)
         is_small = op("Less", nonnegative_value, last, dtype=ir.DataType.BOOL)
         return op("Where", is_small, nonnegative_value, last, dtype=self.dtype)
 

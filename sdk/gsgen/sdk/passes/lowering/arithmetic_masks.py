@@ -129,5 +129,5 @@ def _cast_mask(write: InsertionPoint, node: ir.Node) -> ir.Value:
     source, kind = required(source_node.inputs[0]), required(node.outputs[0].dtype)
     if kind == source.dtype:
         return source
-    cast = write.op("Cast", source, dtype=kind, shape=source.shape, to=int(kind))
-    return cast
+    cast_value = write.op("Cast", source, dtype=kind, shape=source.shape, to=int(kind))
+    return cast_value

@@ -55,8 +55,8 @@ class LowerSplitsToSlices(NodeRewrite):
         parts = []
         for piece, indices in piece_indices:
             shape = fixed_shape(piece)
-            is_whole = shape is not None and indices == list(range(shape[axis]))
-            parts.append(piece if is_whole else _gather(write, piece, indices, axis))
+            is_whole_axis = shape is not None and indices == list(range(shape[axis]))
+            parts.append(piece if is_whole_axis else _write_gather(write, piece, indices, axis))
         result = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=axis)
         write.replace(result)
 
@@ -67,20 +67,24 @@ def _axis(node: ir.Node) -> int:
     return axis if axis >= 0 or shape is None else axis + len(shape)
 
 
-def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: int) -> ir.Value:
+def _write_gather(
+    write: InsertionPoint, value: ir.Value, indices: list[int], axis: int
+) -> ir.Value:
     numbers = write.constant(np.array(indices, np.int64), "places")
     return write.op("Gather", value, numbers, axis=axis)
 
 
-def _indices_per_piece(node: ir.Node, concat: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
+def _indices_per_piece(
+    node: ir.Node, concat_node: ir.Node
+) -> list[tuple[ir.Value, list[int]]] | None:
     """Divide a Gather's indices among a Concat's inputs; None if unknown or in too many pieces."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
-    shapes = [fixed_shape(piece) for piece in concat.inputs]
+    shapes = [fixed_shape(piece) for piece in concat_node.inputs]
     axis = _axis(node)
     if indices is None or any(shape is None for shape in shapes):
         return None
     rank = len(shapes[0] or ())
-    if int_attribute(concat, "axis", 0) % rank != axis:
+    if int_attribute(concat_node, "axis", 0) % rank != axis:
         return None
     ends = np.cumsum([shape[axis] for shape in shapes if shape is not None])
     if ((indices < -ends[-1]) | (indices >= ends[-1])).any():
@@ -88,13 +92,13 @@ def _indices_per_piece(node: ir.Node, concat: ir.Node) -> list[tuple[ir.Value, l
     pieces: list[tuple[ir.Value, list[int]]] = []
     for joined_index in np.where(indices < 0, indices + ends[-1], indices):
         piece_number = int(np.searchsorted(ends, joined_index, side="right"))
-        piece = required(concat.inputs[piece_number])
+        piece = required(concat_node.inputs[piece_number])
         piece_index = int(joined_index) - (int(ends[piece_number - 1]) if piece_number else 0)
         if pieces and pieces[-1][0] is piece:
             pieces[-1][1].append(piece_index)
         else:
             pieces.append((piece, [piece_index]))
-    return pieces if pieces and len(pieces) <= len(concat.inputs) else None
+    return pieces if pieces and len(pieces) <= len(concat_node.inputs) else None
 
 
 def _write_gather_and_transpose(
@@ -105,5 +109,5 @@ def _write_gather_and_transpose(
     rank = len(source.shape) if source.shape is not None else 0
     attribute = transpose.attributes.get("perm")
     perm = list(attribute.as_ints()) if attribute is not None else list(range(rank))[::-1]
-    gathered = write.op("Gather", source, node.inputs[1], axis=perm[axis])
-    return write.op("Transpose", gathered, perm=perm)
+    gathered_value = write.op("Gather", source, node.inputs[1], axis=perm[axis])
+    return write.op("Transpose", gathered_value, perm=perm)

@@ -45,13 +45,13 @@ class LowerRoundToFloor(NodeRewrite):
             return operator_node.outputs[0]
 
         nodes: list[ir.Node] = []
-        floor = append("Floor", x)
-        fraction = append("Sub", x, floor)
-        pairs = append("Floor", append("Mul", floor, half))
-        is_odd = append("Sub", floor, append("Add", pairs, pairs))
+        floor_value = append("Floor", x)
+        fraction = append("Sub", x, floor_value)
+        pairs = append("Floor", append("Mul", floor_value, half))
+        is_odd = append("Sub", floor_value, append("Add", pairs, pairs))
         tie_increment = append("Where", append("Equal", fraction, half), is_odd, zero)
         rounded_fraction = append("Where", append("Greater", fraction, half), unit, tie_increment)
-        result, name = append("Add", floor, rounded_fraction), old.name
+        result, name = append("Add", floor_value, rounded_fraction), old.name
         graph.insert_before(node, nodes)
         ir.convenience.replace_all_uses_with(old, result, replace_graph_outputs=True)
         graph.remove(node, safe=True)

@@ -149,10 +149,14 @@ def _known_array(value: ir.Value | None) -> np.ndarray | None:
 
 def _skip_identities(value: ir.Value) -> ir.Value:
     """Return the graph value before any chain of Identity nodes."""
-    maker = value.producer()
-    while maker is not None and is_op(maker, "Identity") and maker.inputs[0] is not None:
-        value = maker.inputs[0]
-        maker = value.producer()
+    producer_node = value.producer()
+    while (
+        producer_node is not None
+        and is_op(producer_node, "Identity")
+        and producer_node.inputs[0] is not None
+    ):
+        value = producer_node.inputs[0]
+        producer_node = value.producer()
     return value
 
 

@@ -91,8 +91,8 @@ class _Formula:
 
 
 def _elu(f: _Formula) -> ir.Value:
-    negative = f.op("Mul", f.negative_exponential(), f.attribute("alpha", 1.0))
-    return f.op("Add", f.op("Relu", f.x), negative)
+    negative_branch = f.op("Mul", f.negative_exponential(), f.attribute("alpha", 1.0))
+    return f.op("Add", f.op("Relu", f.x), negative_branch)
 
 
 def _celu(f: _Formula) -> ir.Value:

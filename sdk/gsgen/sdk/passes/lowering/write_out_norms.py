@@ -126,24 +126,26 @@ def _layer_norm(norm: _NormWriter) -> None:
     axes = list(range(first, norm.rank))
     mean = norm.reduced("ReduceMean", norm.x, axes)
     centred = norm.op("Sub", norm.x, mean)
-    inverse = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
-    normalised = norm.op("Mul", centred, inverse)
-    norm.finish(norm.scaled(normalised, norm.argument(1), norm.argument(2)), mean, inverse)
+    inverse_deviation = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
+    normalised_value = norm.op("Mul", centred, inverse_deviation)
+    norm.finish(
+        norm.scaled(normalised_value, norm.argument(1), norm.argument(2)), mean, inverse_deviation
+    )
 
 
 def _root_mean_square(norm: _NormWriter) -> None:
     first = int_attribute(norm.node, "axis", -1) % norm.rank
     axes = list(range(first, norm.rank))
-    inverse = norm.inverse_deviation(norm.x, axes, norm.attribute("epsilon", 1e-5))
-    norm.finish(norm.scaled(norm.op("Mul", norm.x, inverse), norm.argument(1), None))
+    inverse_deviation = norm.inverse_deviation(norm.x, axes, norm.attribute("epsilon", 1e-5))
+    norm.finish(norm.scaled(norm.op("Mul", norm.x, inverse_deviation), norm.argument(1), None))
 
 
 def _write_instance_norm(norm: _NormWriter) -> None:
     axes = list(range(2, norm.rank))
     centred = norm.op("Sub", norm.x, norm.reduced("ReduceMean", norm.x, axes))
-    inverse = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
+    inverse_deviation = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
     scale, bias = (norm.per_channel(norm.argument(index)) for index in (1, 2))
-    norm.finish(norm.scaled(norm.op("Mul", centred, inverse), scale, bias))
+    norm.finish(norm.scaled(norm.op("Mul", centred, inverse_deviation), scale, bias))
 
 
 def _group_norm(norm: _NormWriter) -> None:
@@ -154,8 +156,8 @@ def _group_norm(norm: _NormWriter) -> None:
         size.type = ir.TensorType(ir.DataType.INT64)
     grouped = norm.op("Reshape", norm.x, norm.write.int64(0, groups, -1))
     centred = norm.op("Sub", grouped, norm.reduced("ReduceMean", grouped, [2]))
-    inverse = norm.inverse_deviation(centred, [2], norm.attribute("epsilon", 1e-5))
-    normalised = norm.op("Mul", centred, inverse)
+    inverse_deviation = norm.inverse_deviation(centred, [2], norm.attribute("epsilon", 1e-5))
+    normalised_value = norm.op("Mul", centred, inverse_deviation)
     scale, bias = norm.argument(1), norm.argument(2)
     if norm.opset < _CHANNEL_SCALE_OPSET:  # one number per group
         scale, bias = (
@@ -164,9 +166,9 @@ def _group_norm(norm: _NormWriter) -> None:
             else norm.write.op("Unsqueeze", parameter, norm.write.int64(1))
             for parameter in (scale, bias)
         )
-        norm.finish(norm.op("Reshape", norm.scaled(normalised, scale, bias), size))
+        norm.finish(norm.op("Reshape", norm.scaled(normalised_value, scale, bias), size))
         return
-    flat = norm.op("Reshape", normalised, size)
+    flat = norm.op("Reshape", normalised_value, size)
     norm.finish(norm.scaled(flat, norm.per_channel(scale), norm.per_channel(bias)))
 
 

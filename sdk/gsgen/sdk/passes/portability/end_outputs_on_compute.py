@@ -28,7 +28,7 @@ class EndOutputsOnCompute(Rewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Append Mul or And to every graph output that is a buffer copy or a weight."""
-        visited: set[ir.Value] = set()
+        visited_values: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             if value.is_graph_input():
                 continue  # input and output share a name, which a new output could not have
@@ -36,10 +36,10 @@ class EndOutputsOnCompute(Rewrite):
                 continue  # sequences, optionals and strings have no arithmetic
             producer = value.producer()
             # Case 1: a copy, or a second output of the same value. Case 2: a weight.
-            if producer is None or _does_only_copy(producer) or value in visited:
+            if producer is None or _does_only_copy(producer) or value in visited_values:
                 self.note(value)
                 _append_mul_by_one(model.graph, index, value)
-            visited.add(value)
+            visited_values.add(value)
 
 
 def _does_only_copy(node: ir.Node) -> bool:

@@ -39,7 +39,7 @@ _NEW_VALUES = {
     ("Resize", "coordinate_transformation_mode"): "half_pixel_symmetric",
 }
 _OLD_MODE_NAMES = {"linear": "bilinear", "cubic": "bicubic"}
-_REDUCTIONS = (
+_REDUCTION_OPERATORS = (
     "ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax", "ReduceMean",
     "ReduceMin", "ReduceProd", "ReduceSumSquare",
 )  # fmt: skip
@@ -151,7 +151,7 @@ class LowerOpset(SkippableRewrite):
         if is_op(node, "GridSample") and "mode" in node.attributes:  # Case 2
             mode = node.attributes["mode"].as_string()
             node.attributes["mode"] = ir.AttrString("mode", _OLD_MODE_NAMES.get(mode, mode))
-        if is_op(node, *_REDUCTIONS) and self.target_opset < 18:
+        if is_op(node, *_REDUCTION_OPERATORS) and self.target_opset < 18:
             _axes_as_attribute(node)
         if is_op(node, "Split") and self.target_opset < _SPLIT_COUNT_OPSET and len(node.inputs) < 2:
             sizes = split_sizes(node) or []
@@ -179,7 +179,7 @@ def _axes_as_attribute(node: ir.Node) -> None:
 
 def _argument_obstacle(node: ir.Node, old_schema: onnx.defs.OpSchema) -> str:
     """Return why an operator's older version does not accept a node's inputs; empty if it does."""
-    if is_op(node, *_REDUCTIONS) and len(node.inputs) == 2:
+    if is_op(node, *_REDUCTION_OPERATORS) and len(node.inputs) == 2:
         known = node.inputs[1] is None or constant_of(node.inputs[1]) is not None
         return "" if known else "its axes are not known before the frame"
     if is_op(node, "Split") and "num_outputs" in node.attributes:
@@ -196,8 +196,8 @@ def _attribute_obstacle(node: ir.Node, old_schema: onnx.defs.OpSchema) -> str:
     """Return the first attribute that an operator's older version lacks, or an empty text."""
     for name, attribute in node.attributes.items():
         has_no_effect = _NEW_ATTRIBUTES.get(name)
-        is_new = name not in old_schema.attributes and name not in ("axes", "num_outputs")
-        if is_new and (has_no_effect is None or not has_no_effect(attribute)):
+        is_new_attribute = name not in old_schema.attributes and name not in ("axes", "num_outputs")
+        if is_new_attribute and (has_no_effect is None or not has_no_effect(attribute)):
             return f"it had no attribute {name!r}"
         new_value = _NEW_VALUES.get((node.op_type, name))
         if new_value is not None and attribute.as_string() == new_value:

@@ -97,7 +97,7 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
             is_int64_before = old.dtype == _INT64
             value.type = ir.TensorType(_INT32) if is_int64_before else old.type
             value.shape = old.shape
-            outputs.append(_cast(write, value, _INT64) if is_int64_before else value)
+            outputs.append(_write_cast(write, value, _INT64) if is_int64_before else value)
             if old.name in spans:
                 spans |= dict.fromkeys((value.name or "", outputs[-1].name or ""), spans[old.name])
         write.replace(*outputs)
@@ -123,10 +123,10 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
         self.note(node)
         write = InsertionPoint(node)
         attributes = attribute_values(node)
-        floats = _cast(write, node.inputs[0], ir.DataType.FLOAT)
+        floats = _write_cast(write, node.inputs[0], ir.DataType.FLOAT)
         reduced = write.op(node.op_type, floats, *node.inputs[1:], **attributes)
         reduced.shape = node.outputs[0].shape
-        write.replace(_cast(write, reduced, _INT32))
+        write.replace(_write_cast(write, reduced, _INT32))
 
     def _use_narrow_index(self, node: ir.Node) -> None:
         """Pass int32 indices to a node directly, without a Cast to int64."""
@@ -174,9 +174,9 @@ def _cast_to_int32(write: InsertionPoint, value: ir.Value | None) -> ir.Value | 
     known = constant_of(value)
     if known is not None:
         return write.constant(known.astype(np.int32), "narrow")
-    return _cast(write, value, _INT32)
+    return _write_cast(write, value, _INT32)
 
 
-def _cast(write: InsertionPoint, value: ir.Value | None, kind: ir.DataType) -> ir.Value:
+def _write_cast(write: InsertionPoint, value: ir.Value | None, kind: ir.DataType) -> ir.Value:
     assert value is not None
     return write.op("Cast", value, dtype=kind, shape=value.shape, to=int(kind))

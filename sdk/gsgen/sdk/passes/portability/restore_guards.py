@@ -138,9 +138,9 @@ def _guarded_input_index(node: ir.Node) -> int | None:
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
     for input_index in (0, 1):
-        floor = constant_of(node.inputs[1 - input_index])
-        if floor is None or (is_op(node, "Clip") and input_index):
+        floor_constant = constant_of(node.inputs[1 - input_index])
+        if floor_constant is None or (is_op(node, "Clip") and input_index):
             continue
         smallest = smallest_normal(node.outputs[0].dtype)
-        return input_index if ((floor >= 0) & (floor < smallest)).all() else None
+        return input_index if ((floor_constant >= 0) & (floor_constant < smallest)).all() else None
     return None

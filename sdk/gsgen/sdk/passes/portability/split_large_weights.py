@@ -162,14 +162,14 @@ def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> No
         local_index = before.op("Sub", index, number(start))
         local_index = before.op("Where", is_in_later_part, local_index, zero, dtype=index.dtype)
         local_index = before.op("Where", is_before_end, local_index, zero, dtype=index.dtype)
-        gathered = before.op("Gather", part, local_index, axis=axis)
+        gathered_value = before.op("Gather", part, local_index, axis=axis)
         if result is None:
-            result = gathered
+            result = gathered_value
             continue
         if trailing_axes:
             axes = before.int64(*range(rank, rank + trailing_axes))
             is_in_later_part = before.op("Unsqueeze", is_in_later_part, axes)
-        result = before.op("Where", is_in_later_part, gathered, result, dtype=part.dtype)
+        result = before.op("Where", is_in_later_part, gathered_value, result, dtype=part.dtype)
     assert result is not None
     before.replace(result)
 

@@ -29,24 +29,29 @@ Columns = np.ndarray[Any, np.dtype[np.object_]]
 EmitNode = Callable[[str, Sequence[Any], dict[str, Any]], Any]
 ColumnLookup = Callable[[ir.Value], Columns]
 
-_ELEMENTWISE = frozenset({
+_ELEMENTWISE_OPERATORS = frozenset({
     "Abs", "Add", "And", "Cast", "Ceil", "Clip", "Cos", "Div", "Equal", "Exp", "Floor",
     "Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Log", "Max", "Min", "Mul", "Neg",
     "Not", "Or", "Reciprocal", "Relu", "Sigmoid", "Sin", "Sqrt", "Sub", "Tanh", "Where",
 })  # fmt: skip
-_REDUCTIONS = {"ReduceL2": "Add", "ReduceMax": "Max", "ReduceMin": "Min", "ReduceSum": "Add"}
+_OPERATOR_BY_REDUCTION = {
+    "ReduceL2": "Add",
+    "ReduceMax": "Max",
+    "ReduceMin": "Min",
+    "ReduceSum": "Add",
+}
 _RESHAPE_OPERATORS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 
 def works_on_columns(node: ir.Node, rows: int) -> bool:
     """Return whether a node on tensors of many rows can be evaluated column by column."""
-    if is_op(node, *_ELEMENTWISE):
+    if is_op(node, *_ELEMENTWISE_OPERATORS):
         return all(value is None or _may_be_row_operand(value, node, rows) for value in node.inputs)
     first = node.inputs[0] if node.inputs else None
     shape = fixed_shape(first)
     if not shape or shape[0] != rows:
         return False
-    if is_op(node, *_REDUCTIONS):
+    if is_op(node, *_OPERATOR_BY_REDUCTION):
         axes = _axes(node, len(shape))
         return bool(axes) and 0 not in axes
     if is_op(node, *_RESHAPE_OPERATORS):
@@ -77,12 +82,12 @@ def columns_of(
 
     ``lookup`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
-    if is_op(node, *_ELEMENTWISE):
-        return [_elementwise(node, inputs, rows, lookup, emit)]
+    if is_op(node, *_ELEMENTWISE_OPERATORS):
+        return [_compute_elementwise(node, inputs, rows, lookup, emit)]
     first = required(inputs[0])
     columns, shape = lookup(first), required(fixed_shape(node.outputs[0]))
-    if is_op(node, *_REDUCTIONS):
-        return [_reduce(node, columns, emit).reshape(shape[1:])]
+    if is_op(node, *_OPERATOR_BY_REDUCTION):
+        return [_compute_reduction(node, columns, emit).reshape(shape[1:])]
     if is_op(node, "Expand"):
         return [np.broadcast_to(columns, shape[1:])]
     if is_op(node, *_RESHAPE_OPERATORS):
@@ -120,7 +125,7 @@ def _may_be_row_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
     return flat and constant_of(value) is not None
 
 
-def _elementwise(
+def _compute_elementwise(
     node: ir.Node,
     inputs: Sequence[ir.Value | None],
     rows: int,
@@ -163,7 +168,7 @@ def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnL
     return numbers.reshape(trailing_shape)
 
 
-def _reduce(node: ir.Node, columns: Columns, emit: EmitNode) -> Columns:
+def _compute_reduction(node: ir.Node, columns: Columns, emit: EmitNode) -> Columns:
     axes = [axis - 1 for axis in _axes(node, columns.ndim + 1)]
     remaining_axes = [axis for axis in range(columns.ndim) if axis not in axes]
     rows = columns.transpose(remaining_axes + axes)
@@ -172,7 +177,7 @@ def _reduce(node: ir.Node, columns: Columns, emit: EmitNode) -> Columns:
     squares = is_op(node, "ReduceL2")
     for index, parts in enumerate(flat):
         terms = [emit("Mul", [part, part], {}) for part in parts] if squares else list(parts)
-        total = reduce(lambda a, b: emit(_REDUCTIONS[node.op_type], [a, b], {}), terms)
+        total = reduce(lambda a, b: emit(_OPERATOR_BY_REDUCTION[node.op_type], [a, b], {}), terms)
         totals[index] = emit("Sqrt", [total], {}) if squares else total
     return totals
 

@@ -129,18 +129,18 @@ class _MaskingAttempt:
             replace_value(old, replacement)
         for old, new in zip(list(self.graph.outputs), outputs, strict=True):
             if new is not None:
-                maker = required(new.producer())
-                self.graph.remove(maker)
-                append_output(self.graph, old, [maker])
+                producer_node = required(new.producer())
+                self.graph.remove(producer_node)
+                append_output(self.graph, old, [producer_node])
 
     def _refuse_subgraphs(self, node: ir.Node) -> None:
         for attribute in node.attributes.values():
             if attribute.type != ir.AttributeType.GRAPH:
                 continue
-            for inner in attribute.as_graph().all_nodes():
-                facts = [self.facts.get(value) for value in inner.inputs if value is not None]
+            for inner_node in attribute.as_graph().all_nodes():
+                facts = [self.facts.get(value) for value in inner_node.inputs if value is not None]
                 if any(_does_vary_by_row(fact) for fact in facts):
-                    raise MaskBlocked(inner, "a subgraph reads rows of a mask", _masks(facts))
+                    raise MaskBlocked(inner_node, "a subgraph reads rows of a mask", _masks(facts))
 
     def _propagate_fact(self, node: ir.Node) -> None:
         facts = [None if value is None else self.facts.get(value) for value in node.inputs]

@@ -51,12 +51,12 @@ class RowDraft(DetachedGraph):
     def compact(self, rows: Rows, fill_row: np.ndarray | None = None) -> ir.Value:
         """Create N rows: first the K rows that a mask selects, then filler rows (default zeros)."""
         order, value, shape = self.order(rows.mask), rows.value, required(fixed_shape(rows.value))
-        moved = self.op("Gather", value, order.rows, shape=shape, axis=rows.axis)
+        compacted_value = self.op("Gather", value, order.rows, shape=shape, axis=rows.axis)
         dims = [1] * len(shape)
         dims[rows.axis] = rows.mask.size
         live = self.reshaped(order.live, dims)
         fill_value = self.constant(0 if fill_row is None else fill_row, numpy_dtype(value))
-        return self.op("Where", live, moved, fill_value, dtype=value.dtype, shape=shape)
+        return self.op("Where", live, compacted_value, fill_value, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
         """Create the nodes that compute integers a + b · K from the number K of selected rows."""

@@ -105,10 +105,10 @@ def read_mask(value: ir.Value | None) -> Mask | None:
     if producer is None or not is_op(producer, "Expand"):
         return Mask(root, dims)
     inner_shape = fixed_shape(producer.inputs[0])
-    unsqueeze = producer.inputs[0].producer() if producer.inputs[0] is not None else None
-    if inner_shape is None or unsqueeze is None or not is_op(unsqueeze, "Unsqueeze"):
+    unsqueeze_node = producer.inputs[0].producer() if producer.inputs[0] is not None else None
+    if inner_shape is None or unsqueeze_node is None or not is_op(unsqueeze_node, "Unsqueeze"):
         return Mask(root, dims)
-    source_mask = _truth_source(unsqueeze.inputs[0])
+    source_mask = _truth_source(unsqueeze_node.inputs[0])
     base_shape = fixed_shape(source_mask)
     if (
         source_mask is None

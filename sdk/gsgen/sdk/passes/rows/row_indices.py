@@ -26,10 +26,12 @@ def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
     if rows.flat or shape != (rows.mask.size,):
         return None
     kind = ir.DataType.BOOL
-    inner = rows.value
-    if inner.dtype != kind:
-        inner = draft.op("Cast", inner, dtype=kind, shape=shape, to=kind.value)
-    combined_mask = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
+    inner_mask = rows.value
+    if inner_mask.dtype != kind:
+        inner_mask = draft.op("Cast", inner_mask, dtype=kind, shape=shape, to=kind.value)
+    combined_mask = draft.op(
+        "And", draft.boolean_mask(rows.mask), inner_mask, dtype=kind, shape=shape
+    )
     return Mask(combined_mask, shape, parent=rows.mask.without_repeats)
 
 

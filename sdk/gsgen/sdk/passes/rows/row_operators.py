@@ -23,7 +23,7 @@ from gsgen.sdk.passes.framework.value_facts import (
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Index, Linear, PaddingRowsFact, Rows, RowTensorFact
 
-_ELEMENTWISE = frozenset({
+_ELEMENTWISE_OPERATORS = frozenset({
     "Abs", "Acos", "Acosh", "Add", "And", "Asin", "Asinh", "Atan", "Atanh", "Cast", "Ceil",
     "Clip", "Cos", "Cosh", "Div", "Elu", "Equal", "Erf", "Exp", "Floor", "Gelu", "Greater",
     "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity", "IsInf", "IsNaN", "LeakyRelu",
@@ -40,10 +40,10 @@ def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | No
     """Return the node's output computed on all N rows; None if the node may mix the rows."""
     if any(isinstance(fact, Rows) and fact.flat for fact in facts):
         return None
-    if node.op_type in _ELEMENTWISE:
-        return _elementwise(node, facts, draft)
+    if node.op_type in _ELEMENTWISE_OPERATORS:
+        return _mask_elementwise(node, facts, draft)
     if is_op(node, "Concat"):
-        return _concat(node, facts, draft)
+        return _mask_concat(node, facts, draft)
     if is_op(node, "MatMul", "Gemm"):
         return _matrix_product(node, facts, draft)
     if is_op(node, "Einsum"):
@@ -84,7 +84,7 @@ def _inputs_with_all_rows(node: ir.Node, facts: RowFacts) -> list[ir.Value | Non
     ]
 
 
-def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an elementwise operator on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
@@ -114,7 +114,7 @@ def _elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None
     return _draft_on_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
 
 
-def _concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rows = facts[0]
     if not isinstance(rows, Rows) or not all(isinstance(fact, Rows) for fact in facts):
         return None
@@ -214,7 +214,7 @@ def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
 # -- Operators with one tensor of rows
 
 
-def _slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Slice of all N rows, not the K that a mask selects; None if it cuts the row axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
@@ -229,7 +229,7 @@ def _slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows 
     return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
 
 
-def _gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Gather on all N rows, not the K that a mask selects; None if it gathers rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
@@ -247,7 +247,7 @@ def axes_of(node: ir.Node) -> list[int] | None:
     return None if known is None else [int(axis) for axis in known.reshape(-1)]
 
 
-def _reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if not axes:
         return None
@@ -262,7 +262,7 @@ def _reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows
     )
 
 
-def _apply_along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     if is_op(node, "CumSum"):
         known = constant_of(node.inputs[1])
@@ -276,7 +276,7 @@ def _apply_along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraf
     return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
@@ -284,7 +284,7 @@ def _squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Row
     return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(node.outputs[0])
     if axes is None or rank is None:
         return None
@@ -293,14 +293,14 @@ def _unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> R
     return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _transpose(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_transpose(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     order = node.attributes.get("perm")
     axes = list(range(rank))[::-1] if order is None else list(order.as_ints())
     return _draft_on_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
 
 
-def _reshape(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_reshape(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create a Reshape of all N rows, not the K that a mask selects; None if it divides rows."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
@@ -376,19 +376,19 @@ def _mask_expand(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) ->
 _RowRule = Callable[[ir.Node, Rows, RowFacts, RowDraft], Rows | None]
 _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
     "Expand": _mask_expand,
-    "Gather": _gather,
-    "Reshape": _reshape,
-    "Slice": _slice,
-    "Squeeze": _squeeze,
-    "Transpose": _transpose,
-    "Unsqueeze": _unsqueeze,
-    **dict.fromkeys(_AXIS_OPERATORS, _apply_along_axis),
+    "Gather": _mask_gather,
+    "Reshape": _mask_reshape,
+    "Slice": _mask_slice,
+    "Squeeze": _mask_squeeze,
+    "Transpose": _mask_transpose,
+    "Unsqueeze": _mask_unsqueeze,
+    **dict.fromkeys(_AXIS_OPERATORS, _mask_along_axis),
     **dict.fromkeys(
         (
             *("ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax"),
             *("ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare"),
         ),
-        _reduce,
+        _mask_reduce,
     ),
 }
 

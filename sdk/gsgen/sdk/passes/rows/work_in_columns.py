@@ -79,13 +79,15 @@ def _groups(graph: ir.Graph) -> Iterator[_ColumnGroup]:
             for v in node.inputs
             if v in group_of_value and group_of_value[v].rows == rows
         }
-        merged = _ColumnGroup(rows)
+        merged_group = _ColumnGroup(rows)
         for neighbour in neighbours.values():
-            merged.nodes += neighbour.nodes
+            merged_group.nodes += neighbour.nodes
             groups.remove(neighbour)
-        merged.nodes.append(node)
-        groups.append(merged)
-        group_of_value |= {value: merged for member in merged.nodes for value in member.outputs}
+        merged_group.nodes.append(node)
+        groups.append(merged_group)
+        group_of_value |= {
+            value: merged_group for member in merged_group.nodes for value in member.outputs
+        }
     order = {node: index for index, node in enumerate(graph)}
     for group in groups:
         group.nodes.sort(key=order.__getitem__)

@@ -101,10 +101,12 @@ def _shape_axes(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
 def _selected_dimensions(node: ir.Node) -> np.ndarray | None:
     """Return the part of a shape that Gather or Slice selects, if all its sizes are known."""
     source = node.inputs[0] if node.inputs else None
-    maker = source.producer() if source is not None else None
-    if maker is None or not (is_op(maker, "Shape") and is_op(node, "Gather", "Slice")):
+    producer_node = source.producer() if source is not None else None
+    if producer_node is None or not (
+        is_op(producer_node, "Shape") and is_op(node, "Gather", "Slice")
+    ):
         return None
-    axes = _shape_axes(maker)
+    axes = _shape_axes(producer_node)
     arguments = [constant_of(value, _MAX_FOLDED_SIZE) for value in node.inputs[1:]]
     if axes is None or any(array is None for array in arguments):
         return None

@@ -27,10 +27,15 @@ class MergeCasts(NodeRewrite):
     def matches(self, node: ir.Node) -> bool:
         """Return whether a node casts the output of a Cast that loses no information."""
         value = node.inputs[0] if is_op(node, "Cast") else None
-        inner = value.producer() if value is not None else None
-        if value is None or inner is None or not is_op(inner, "Cast") or not inner.inputs[0]:
+        inner_cast = value.producer() if value is not None else None
+        if (
+            value is None
+            or inner_cast is None
+            or not is_op(inner_cast, "Cast")
+            or not inner_cast.inputs[0]
+        ):
             return False
-        first_dtype, middle_dtype = inner.inputs[0].dtype, value.dtype
+        first_dtype, middle_dtype = inner_cast.inputs[0].dtype, value.dtype
         last_dtype = node.outputs[0].dtype
         if (
             first_dtype is None
@@ -51,9 +56,9 @@ class MergeCasts(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Cast the input of two consecutive Casts directly to the last dtype."""
-        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        inner_cast = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
         write = InsertionPoint(node)
-        x = required(inner.inputs[0])
+        x = required(inner_cast.inputs[0])
         kind = required(node.outputs[0].dtype)
         if x.dtype == kind:
             write.replace(x)

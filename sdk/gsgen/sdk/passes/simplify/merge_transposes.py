@@ -28,10 +28,12 @@ class MergeTransposes(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Transpose the input of two Transposes by their composed permutation."""
-        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        inner_transpose = required(
+            node.inputs[0].producer() if node.inputs[0] is not None else None
+        )
         outer_permutation = required(_permutation(node))
-        first = required(_permutation(inner))
-        x = required(inner.inputs[0])
+        first = required(_permutation(inner_transpose))
+        x = required(inner_transpose.inputs[0])
         perm, write = [first[axis] for axis in outer_permutation], InsertionPoint(node)
         if perm == sorted(perm):
             write.replace(x)

@@ -9,8 +9,10 @@ from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
-_VARIADIC = frozenset({"Concat", "Max", "Mean", "Min", "Sum"})
-_REDUCTIONS = frozenset({"ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum"})
+_VARIADIC_OPERATORS = frozenset({"Concat", "Max", "Mean", "Min", "Sum"})
+_REDUCTION_OPERATORS = frozenset(
+    {"ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum"}
+)
 # If the shape does not change, neither does the order of the elements.
 _ORDER_KEEPING_OPERATORS = frozenset({"Expand", "Flatten", "Reshape", "Squeeze", "Unsqueeze"})
 # The neutral second operand; for Mul, also the neutral first operand.
@@ -60,7 +62,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
     x = node.inputs[0]
     if x is None:
         return None
-    if is_op(node, "Identity", *_VARIADIC):
+    if is_op(node, "Identity", *_VARIADIC_OPERATORS):
         return x if len(node.inputs) == 1 else None
     if is_op(node, "Dropout"):
         training_mode = node.inputs[2] if len(node.inputs) > 2 else None
@@ -68,7 +70,7 @@ def _unchanged_argument(node: ir.Node) -> ir.Value | None:
         return x if training_mode is None or (mode is not None and not mode.any()) else None
     if is_op(node, "Cast", "CastLike"):
         return x if x.dtype is not None and x.dtype == node.outputs[0].dtype else None
-    if is_op(node, *_REDUCTIONS):
+    if is_op(node, *_REDUCTION_OPERATORS):
         return x if _is_empty_reduction(node) else None
     if is_op(node, *_NEUTRAL_BY_OPERATOR):
         return _neutral_operand_partner(node)
