@@ -182,7 +182,7 @@ class _OrderedCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
-        given_args = list(args)
+        typed_args = list(args)
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         try:
@@ -192,7 +192,7 @@ class _OrderedCommand(TyperCommand):
             if not error.message and getattr(error.param, "name", None) == "output":
                 from gsgen.cli.output_hints import output_hint
 
-                error.message = output_hint(self.name or "", given_args, values)
+                error.message = output_hint(self.name or "", typed_args, values)
             error.param = self._missing_argument(error.param, values)
             raise
 
@@ -225,15 +225,17 @@ def _number_hint(message: str, parameter: Any) -> str:
         return ""
     bounds = parameter if hasattr(parameter, "min") else getattr(parameter, "type", None)
     least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
-    lower = "" if least is None else f" from {least:g}"
-    return f"{'' if message.endswith('.') else '.'} Give {noun}{lower}{'' if most is None else f' to {most:g}'}."
+    lower_text = "" if least is None else f" from {least:g}"
+    return f"{'' if message.endswith('.') else '.'} Give {noun}{lower_text}{'' if most is None else f' to {most:g}'}."
 
 
 def _unknown_command(name: str, commands: list[str]) -> UnknownName:
     error = UnknownName.among("command", name, commands)
     if os.path.exists(name):
         word = for_shell(name)
-        is_checked = name.endswith((".onnx", ".json")) or os.path.isdir(name)
+        is_model_path = name.endswith((".onnx", ".json")) or os.path.isdir(name)
         draw_hint = f"To draw the file, type `gsgen render {word} -o picture.png`."
-        error.hint = f"To validate it, type `gsgen validate {word}`." if is_checked else draw_hint
+        error.hint = (
+            f"To validate it, type `gsgen validate {word}`." if is_model_path else draw_hint
+        )
     return error

@@ -78,10 +78,10 @@ def _check_adapters() -> Iterator[Check]:
         )
         return
     for adapter in adapters:
-        name, kind, backend = (
+        name, kind, backend_name = (
             adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
         )
-        detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
+        detail = f"{name} ({kind}, {backend_name}) {adapter.get('description', '')}"
         yield Check(name="adapter", state="ok", detail=detail.strip(), purpose=_RENDER_PURPOSE)
     choice = _child_result("renderer", _EXPLAIN_RENDERER, _SOFTWARE_DRIVERS, _RENDER_PURPOSE)
     if not isinstance(choice, Check):

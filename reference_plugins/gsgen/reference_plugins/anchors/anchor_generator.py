@@ -175,8 +175,8 @@ class AnchorGenerator(GaussianGenerator):
         visible = self.visible_share(centre)
         if self.cull is None:
             return visible
-        in_view: Tensor = self.cull(camera, *extra_inputs[: len(self.cull.takes)])
-        return in_view if visible is None else visible * in_view
+        visible_mask: Tensor = self.cull(camera, *extra_inputs[: len(self.cull.takes)])
+        return visible_mask if visible is None else visible * visible_mask
 
     @abstractmethod
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:

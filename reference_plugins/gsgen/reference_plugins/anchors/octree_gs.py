@@ -83,11 +83,11 @@ class _Limits(nn.Module):
 
     def forward(self, anchor: Float[Tensor, "n 3"]) -> tuple[Tensor, ...]:
         levels, level = self.levels, self.level
-        logarithm = math.log(levels.fork)
-        cell = 0.5 * levels.voxel * torch.exp(-logarithm * level)
+        fork_logarithm = math.log(levels.fork)
+        cell = 0.5 * levels.voxel * torch.exp(-fork_logarithm * level)
         cell_center = anchor + cell if self.half_cell else anchor
         start = self.extra - level
-        level_growth = torch.exp(2 * logarithm * (start + LEVEL_ROUNDING[levels.mode]))
+        level_growth = torch.exp(2 * fork_logarithm * (start + LEVEL_ROUNDING[levels.mode]))
         squared_distance = (levels.standard**2 * level_growth).clamp(max=_ALWAYS_VISIBLE)
         first = (level <= 0).to(squared_distance.dtype)
         squared_distance = squared_distance * (1 - first) + _ALWAYS_VISIBLE * first
@@ -95,7 +95,7 @@ class _Limits(nn.Module):
         squared_distance = squared_distance * (1 - is_too_deep) + _NEVER_VISIBLE * is_too_deep
         if levels.mode != "progressive":
             return cell_center, squared_distance
-        start = start + (1 + math.log(levels.standard) / logarithm)
+        start = start + (1 + math.log(levels.standard) / fork_logarithm)
         is_last_level = (level >= levels.top).to(squared_distance.dtype)
         return (
             cell_center,
@@ -130,10 +130,10 @@ class LevelGate(nn.Module):
         visible: Tensor = (squared_distance <= max_distance).to(squared_distance.dtype)
         if not fading_limits:
             return visible
-        start, least_fraction, most_fraction = fading_limits
-        logarithm = torch.log(squared_distance.clamp(min=MIN_SQUARED_DISTANCE))
-        fraction = start - (0.5 * self.per_level) * logarithm
-        bounded_fraction = torch.minimum(torch.maximum(fraction, least_fraction), most_fraction)
+        start, min_fraction, max_fraction = fading_limits
+        fork_logarithm = torch.log(squared_distance.clamp(min=MIN_SQUARED_DISTANCE))
+        fraction = start - (0.5 * self.per_level) * fork_logarithm
+        bounded_fraction = torch.minimum(torch.maximum(fraction, min_fraction), max_fraction)
         faded_visibility: Tensor = visible * bounded_fraction
         return faded_visibility
 

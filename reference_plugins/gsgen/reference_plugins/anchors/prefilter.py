@@ -68,9 +68,9 @@ class Prefilter(nn.Module):
         radius = self._radius(slope, depth, focal, viewport, camera[:3, :3])
         viewport_end = torch.ceil(viewport.reshape(1, 2) / TILE) * TILE
         # An image without pixels, or a focal length of 0, shows no anchor.
-        usable = (viewport_end > 0).float() * (focal > 0).float()
+        usable_mask = (viewport_end > 0).float() * (focal > 0).float()
         is_visible = (
-            (pixel + radius >= 1).float() * (pixel - radius < viewport_end).float() * usable
+            (pixel + radius >= 1).float() * (pixel - radius < viewport_end).float() * usable_mask
         )
         return is_visible[:, 0:1] * is_visible[:, 1:2] * (depth > _NEAR_DEPTH).float()
 

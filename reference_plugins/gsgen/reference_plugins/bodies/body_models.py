@@ -156,9 +156,9 @@ def joints_of_file(path: Path) -> int:
 
 def _read_arrays(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
-        zipped = file.read(4) == b"PK\x03\x04"
+        is_zipped = file.read(4) == b"PK\x03\x04"
     # Read the known arrays only: the published files also hold other objects.
-    return (read_npz if zipped else read_array_pickle)(
+    return (read_npz if is_zipped else read_array_pickle)(
         path, (*_REQUIRED_ARRAYS, *_HAND_MEANS, _FACES_KEY)
     )
 

@@ -74,8 +74,8 @@ class Motion:
 
     def describe(self) -> str:
         """Describe the motion in one line: file, frames and speed."""
-        speed = f" at {self.fps:g} frames per second" if self.fps else ""
-        return f"{self.path}: {len(self)} frames{speed}"
+        rate_text = f" at {self.fps:g} frames per second" if self.fps else ""
+        return f"{self.path}: {len(self)} frames{rate_text}"
 
 
 def read_motion(path: Path, joints: int) -> Motion:
@@ -110,13 +110,13 @@ def _read_folder(path: Path, joints: int) -> Motion:
                     message = f"has the arrays {sorted(frame)}, expected {sorted(names)} as in {files[0].name}"
                     raise CheckpointInvalid(message, where=str(file))
             try:
-                joined = {
+                joined_arrays = {
                     name: np.stack([frame[name].reshape(-1) for frame in frames]) for name in names
                 }
             except ValueError as error:
                 message = f"has frames of different sizes: {error}"
                 raise CheckpointInvalid(message, where=str(path)) from error
-            return _motion_from_arrays(path, joined, joints)
+            return _motion_from_arrays(path, joined_arrays, joints)
     message = "holds no .npz, .npy or .json"
     raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
 
@@ -160,8 +160,8 @@ def _motion_from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int)
     shape = read.get("shapes")
     if shape is not None:  # the same person in every frame
         shape = shape[0].ravel() if shape.ndim > 1 and len(shape) else shape.ravel()
-    speed = read.get("mocap_framerate", read.get("mocap_frame_rate"))
-    fps = float(speed.ravel()[0]) if speed is not None and speed.size else None
+    frame_rate = read.get("mocap_framerate", read.get("mocap_frame_rate"))
+    fps = float(frame_rate.ravel()[0]) if frame_rate is not None and frame_rate.size else None
     return Motion(path=path, pose=pose, shift=shift, turn=turn, shape=shape, fps=fps)
 
 

@@ -55,10 +55,10 @@ def read_pose_nets(
     read = require_tensors(path, pose, expected)
     first_layers = tuple(layer_of(read, name) for name in names)
     width = _weight_width(weights.get("bw_linears.0.weight"))
-    inputs_of = [_EMBEDDED_SIZE, width, width, width and _EMBEDDED_SIZE + width]
+    input_sizes = [_EMBEDDED_SIZE, width, width, width and _EMBEDDED_SIZE + width]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]
     expected = {}
-    for name, inputs in zip(names, [*inputs_of, width], strict=True):
+    for name, inputs in zip(names, [*input_sizes, width], strict=True):
         outputs = joints if name == "bw_fc" else width
         expected |= {f"{name}.weight": (outputs, inputs, 1), f"{name}.bias": (outputs,)}
     read = require_tensors(path, weights, expected)

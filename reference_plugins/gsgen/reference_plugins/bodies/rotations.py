@@ -75,15 +75,21 @@ def nearest_rotation(
         (wy, sum_xy, squares[2], sum_yz),
         (wz, sum_xz, sum_yz, squares[3]),
     ]
-    stacked = [torch.stack(components, dim=1) for components in candidates]
-    best_norm, first_best = _choose_larger_norm(squares[0], squares[1], stacked[0], stacked[1])
-    second_best, second_best_quaternion = _choose_larger_norm(
-        squares[2], squares[3], stacked[2], stacked[3]
+    candidate_rows = [torch.stack(components, dim=1) for components in candidates]
+    best_norm, is_first_larger = _choose_larger_norm(
+        squares[0], squares[1], candidate_rows[0], candidate_rows[1]
     )
-    _, quaternion = _choose_larger_norm(best_norm, second_best, first_best, second_best_quaternion)
+    second_norm, second_best_quaternion = _choose_larger_norm(
+        squares[2], squares[3], candidate_rows[2], candidate_rows[3]
+    )
+    _, quaternion = _choose_larger_norm(
+        best_norm, second_norm, is_first_larger, second_best_quaternion
+    )
     w, x, y, z = quaternion.unbind(dim=1)
-    is_free = 1 - is_rigid
-    columns = rotation_columns((w * is_free + is_rigid, x * is_free, y * is_free, z * is_free))
+    free_weight = 1 - is_rigid
+    columns = rotation_columns(
+        (w * free_weight + is_rigid, x * free_weight, y * free_weight, z * free_weight)
+    )
     return torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
 
 
@@ -91,6 +97,6 @@ def _choose_larger_norm(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return in each row the higher of two scores, and the quaternion that has this score."""
-    first_best = a >= b
-    quaternion = torch.where(first_best[:, None], quaternion_a, quaternion_b)
+    is_first_larger = a >= b
+    quaternion = torch.where(is_first_larger[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

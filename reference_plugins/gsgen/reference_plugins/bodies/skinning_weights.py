@@ -78,12 +78,12 @@ class BigPoseGaussians(nn.Module):
         """Return skinning weights, rest positions, and M of the rest covariance M Mᵀ."""
         weights = torch.index_select(self.near, 0, self.vertex)
         if self.offsets is not None:
-            logarithm = torch.log(weights) + self.offsets(self.position)
-            weights = torch.softmax(logarithm, dim=1)
+            log_weights = torch.log(weights) + self.offsets(self.position)
+            weights = torch.softmax(log_weights, dim=1)
         big_pose = (weights @ self.transforms).transpose(0, 1).reshape(1, 3, 4, -1)
         inverse_transforms = inverse(big_pose)
-        translated = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
-        position = (inverse_transforms * translated).sum(dim=2)
+        relative_positions = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
+        position = (inverse_transforms * relative_positions).sum(dim=2)
         root = multiply_matrices(inverse_transforms, _root(self.rotation, self.scale))
         return weights.transpose(0, 1), position, root
 

@@ -89,13 +89,15 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
     # The first vertices surround one joint each, so that the joint is their mean.
     tube = np.concatenate([np.arange(joints), _choose_tubes(joint_positions, count - joints, rng)])
     # Most others are on the tube to the parent and do not define a joint.
-    is_outer = (np.arange(count) >= joints) & (rng.random(count) < 0.8)
+    is_surface_point = (np.arange(count) >= joints) & (rng.random(count) < 0.8)
     inner_points = joint_positions[tube] + rng.normal(0, 0.03, (count, 3))
-    template = np.where(is_outer[:, None], _tube_points(joint_positions, tube, rng), inner_points)
+    template = np.where(
+        is_surface_point[:, None], _tube_points(joint_positions, tube, rng), inner_points
+    )
     weights = np.exp(-((_bone_distances(template, joint_positions) / _SKINNING_FALLOFF) ** 2))
     weights[weights < 0.02 * weights.max(axis=1, keepdims=True)] = 0
     weights /= weights.sum(axis=1, keepdims=True)
-    regressor = ((tube[None] == np.arange(joints)[:, None]) & ~is_outer).astype(float)
+    regressor = ((tube[None] == np.arange(joints)[:, None]) & ~is_surface_point).astype(float)
     regressor /= regressor.sum(axis=1, keepdims=True)
     table = np.array([_JOINT_PARENTS[joints], range(joints)], np.int64) % (NO_PARENT_JOINT + 1)
     scaled_joints = np.einsum("vi,ijk->vjk", template, rng.normal(0, 0.02, (3, 3, options.shapes)))
@@ -171,15 +173,15 @@ def _tube_points(
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     fraction = rng.random((len(tube), 1))
     # The ends are round: there the normal keeps its component along the bone.
-    is_cap = (fraction < 0.2) & ((direction * axis).sum(axis=1, keepdims=True) < 0)
-    is_cap |= (fraction > 0.8) & ((direction * axis).sum(axis=1, keepdims=True) > 0)
+    is_cap_point = (fraction < 0.2) & ((direction * axis).sum(axis=1, keepdims=True) < 0)
+    is_cap_point |= (fraction > 0.8) & ((direction * axis).sum(axis=1, keepdims=True) > 0)
     perpendicular = direction - (direction * axis).sum(axis=1, keepdims=True) * axis
     perpendicular /= np.maximum(np.linalg.norm(perpendicular, axis=1, keepdims=True), 1e-9)
-    fraction = np.where(is_cap, np.round(fraction), fraction)
+    fraction = np.where(is_cap_point, np.round(fraction), fraction)
     points: Float[np.ndarray, "n 3"] = (
         tube_start
         + fraction * segment
-        + radius[:, None] * np.where(is_cap, direction, perpendicular)
+        + radius[:, None] * np.where(is_cap_point, direction, perpendicular)
     )
     return points
 
@@ -229,10 +231,10 @@ def clothing_colors(
         axis=1,
     )
     tube = distance.argmin(axis=1)
-    worn = np.tile(_CLOTHING_COLORS["skin"], (options.joints, 1))
+    worn_colors = np.tile(_CLOTHING_COLORS["skin"], (options.joints, 1))
     for name, tubes in _CLOTHING_BY_JOINT.items():
-        worn[list(tubes)] = _CLOTHING_COLORS[name]
-    colors = worn[tube]
+        worn_colors[list(tubes)] = _CLOTHING_COLORS[name]
+    colors = worn_colors[tube]
     head = points - joint_positions[_HEAD_JOINT]
     hair = (tube == _HEAD_JOINT) & (head[:, 1] - 0.8 * head[:, 2] > 0.1)
     colors[hair] = _CLOTHING_COLORS["hair"]

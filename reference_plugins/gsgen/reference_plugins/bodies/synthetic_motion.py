@@ -24,14 +24,14 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     poses = 0.03 * np.sin(along[:, None] + phase[None])
     for side, sign in enumerate((1.0, -1.0)):
         step = sign * np.sin(along)
-        lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
+        leg_lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
         _turn_joint(
             poses,
             _HIP_JOINTS[side],
-            np.stack([-_STRIDE_ANGLE * step - 0.3 * lift, 0 * step, 0 * step]),
+            np.stack([-_STRIDE_ANGLE * step - 0.3 * leg_lift, 0 * step, 0 * step]),
         )
         _turn_joint(
-            poses, _KNEE_JOINTS[side], np.stack([0.1 + _BEND_ANGLE * lift, 0 * step, 0 * step])
+            poses, _KNEE_JOINTS[side], np.stack([0.1 + _BEND_ANGLE * leg_lift, 0 * step, 0 * step])
         )
         _turn_joint(poses, _SHOULDER_JOINTS[side], _swing_arm(_SWING_ANGLE * step, sign))
         _turn_joint(

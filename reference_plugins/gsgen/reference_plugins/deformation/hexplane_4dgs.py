@@ -103,8 +103,8 @@ class HexPlane4DGS(GaussianGenerator):
         if head not in self.heads:
             return canonical
         masked_field = canonical if static_fraction is None else canonical * static_fraction
-        deformed: Tensor = masked_field + self.heads[head](hidden)
-        return deformed
+        deformed_field: Tensor = masked_field + self.heads[head](hidden)
+        return deformed_field
 
     def _rotation(self, hidden: Tensor) -> list[Tensor]:
         """Return the deformed quaternions, one tensor per component; no voxel grid scales them."""

@@ -197,10 +197,10 @@ class _NodeMotion(nn.Module):
             ]
             columns["turn"] = stack_planes(turn)
             x, y, z = planes_of(self.centre)
-            rotated = stack_planes(
+            rotated_positions = stack_planes(
                 [a * x + b * y + c * z for a, b, c in (turn[:3], turn[3:6], turn[6:])]
             )
-            columns["translation"] = columns["translation"] + self.centre - rotated
+            columns["translation"] = columns["translation"] + self.centre - rotated_positions
         return _concatenate_parts([columns[name] for name in self.widths])
 
 

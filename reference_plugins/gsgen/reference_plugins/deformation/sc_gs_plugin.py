@@ -48,8 +48,8 @@ def is_sc_gs(run: Path, iteration: Path) -> bool:
     if not (run / "deform").is_dir():
         return False
     cfg = run / "cfg_args"
-    is_named = cfg.is_file() and b"deform_type=" in cfg.read_bytes()
-    return is_named or "fea_0" in point_columns(iteration)
+    names_deform_type = cfg.is_file() and b"deform_type=" in cfg.read_bytes()
+    return names_deform_type or "fea_0" in point_columns(iteration)
 
 
 def _write_demo(folder: Path) -> list[str]:

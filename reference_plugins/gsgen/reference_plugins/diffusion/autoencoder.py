@@ -50,10 +50,10 @@ class Autoencoder(AutoencoderKL, nn.Module):  # type: ignore[misc]
     ) -> Float[Tensor, "b c h w"]:
         """Decode a latent, with the skip connections of the encoder, to an image."""
         decoder = self.decoder
-        unscaled = latent / self.options.scale + self.options.shift
+        unscaled_latent = latent / self.options.scale + self.options.shift
         if self.post_quant_conv is not None:
-            unscaled = self.post_quant_conv(unscaled)
-        features = decoder.mid_block(decoder.conv_in(unscaled))
+            unscaled_latent = self.post_quant_conv(unscaled_latent)
+        features = decoder.mid_block(decoder.conv_in(unscaled_latent))
         for index, level in enumerate(decoder.up_blocks):
             if self.options.skips is not None:
                 skip = getattr(decoder, f"{SKIP_PREFIX}{index + 1}")

@@ -101,9 +101,9 @@ def read_lora(path: Path) -> Adapter:
     path = _adapter_file(path)
     uses_safetensors = is_safetensors(path)
     state = read_safetensors(path) if uses_safetensors else load_state(path, "a LoRA")
-    pairs, unpaired = split_pairs(state, path)
-    text = tuple(name for name in unpaired if name.startswith(_TEXT_ENCODER_PREFIXES))
-    unknown = [name for name in unpaired if name not in text]
+    pairs, unpaired_tensors = split_pairs(state, path)
+    text = tuple(name for name in unpaired_tensors if name.startswith(_TEXT_ENCODER_PREFIXES))
+    unknown = [name for name in unpaired_tensors if name not in text]
     if unknown:
         kinds = {
             kind
@@ -147,11 +147,11 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, LoraPai
     Returns layer → its change, and all other entries, those of text encoders included.
     """
     pairs: dict[str, LoraPair] = {}
-    unpaired: dict[str, Any] = {}
+    unpaired_tensors: dict[str, Any] = {}
     for name, value in state.items():
         location = None if name.startswith(_TEXT_ENCODER_PREFIXES) else _parse_name(name)
         if location is None:
-            unpaired[name] = value
+            unpaired_tensors[name] = value
             continue
         layer, part = location
         if not isinstance(value, Tensor) or not torch.isfinite(value.double()).all():
@@ -166,19 +166,19 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, LoraPai
             message = f"{name} is {list(value.shape)}, expected one number"
             raise CheckpointInvalid(message, where=str(path))
         setattr(pair, part, value.item() if part == "alpha" else value)
-    return pairs, unpaired
+    return pairs, unpaired_tensors
 
 
 def _parse_name(name: str) -> tuple[str, str] | None:
     """Parse the name of a LoRA tensor into its layer and its kind: down, up or alpha."""
-    unwrapped = name.replace(_PEFT_PREFIX, "")
-    if match := _PROCESSOR_NAME.fullmatch(unwrapped):
+    unwrapped_name = name.replace(_PEFT_PREFIX, "")
+    if match := _PROCESSOR_NAME.fullmatch(unwrapped_name):
         projection = "to_out.0" if match["what"] == "to_out" else match["what"]
         return f"{match['block']}.{projection}", match["plain"]
-    if match := _PAIR_NAME.fullmatch(unwrapped):
+    if match := _PAIR_NAME.fullmatch(unwrapped_name):
         layer = match["layer"].replace(".processor.", ".")
         return layer, match["plain"] or {"A": "down", "B": "up"}[match["peft"]]
-    if match := _ALPHA_NAME.fullmatch(unwrapped):
+    if match := _ALPHA_NAME.fullmatch(unwrapped_name):
         return match["layer"], "alpha"
     return None
 
@@ -201,9 +201,9 @@ def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], 
 
 def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, float]:
     """Raise if a LoRA setting is not supported; return α for each suffix of a layer name."""
-    for name, usual_names in {"use_dora": False, "fan_in_fan_out": False}.items():
-        if settings.get(name, usual_names) not in (usual_names, None):
-            message = f"{name} is {settings[name]!r}, supported: {usual_names!r}"
+    for name, expected_value in {"use_dora": False, "fan_in_fan_out": False}.items():
+        if settings.get(name, expected_value) not in (expected_value, None):
+            message = f"{name} is {settings[name]!r}, supported: {expected_value!r}"
             raise CheckpointInvalid(message, where=str(where))
     if str(settings.get("peft_type", "LORA")).upper().rpartition(".")[2] != "LORA":
         message = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
@@ -247,10 +247,10 @@ def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module
         weight = layer.weight
         assert isinstance(weight, Tensor)
         # A new tensor, because those of a file may share memory.
-        merged = (weight.double() + scale * alpha_share * _pair_product(pair, weight)).to(
+        merged_weight = (weight.double() + scale * alpha_share * _pair_product(pair, weight)).to(
             weight.dtype
         )
-        layer.weight = nn.Parameter(merged, requires_grad=False)
+        layer.weight = nn.Parameter(merged_weight, requires_grad=False)
     words = f"{min(alpha_shares):g}" + f" to {max(alpha_shares):g}" * (len(alpha_shares) > 1)
     return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
 

@@ -87,20 +87,20 @@ class UNetOptions:
         kind = config.choice("_class_name", (_UNCONDITIONAL_CLASS, _CONDITIONAL_CLASS))
         for name, values in _REQUIRED_SETTINGS.items():
             config.choice(name, values, values[0])
-        conditional = kind == _CONDITIONAL_CLASS
+        is_conditional = kind == _CONDITIONAL_CLASS
         channels = config.integers("block_out_channels")
         levels = len(channels)
         down_block_types = config.kinds("down_block_types", _DOWN_BLOCKS, levels)
         up = config.kinds("up_block_types", _UP_BLOCKS, levels)
-        usual = "UNetMidBlock2DCrossAttn" if conditional else "UNetMidBlock2D"
-        middle = _MID_BLOCKS[config.choice("mid_block_type", tuple(_MID_BLOCKS), usual)]
-        context = config.integer("cross_attention_dim", 1280) if conditional else None
+        default_class = "UNetMidBlock2DCrossAttn" if is_conditional else "UNetMidBlock2D"
+        middle = _MID_BLOCKS[config.choice("mid_block_type", tuple(_MID_BLOCKS), default_class)]
+        context = config.integer("cross_attention_dim", 1280) if is_conditional else None
         if context is None and "context" in (*down_block_types, *up, middle):
             problem = "has blocks with cross-attention, but the network is unconditional"
             raise config.option_error(problem, where="down_block_types")
         return cls(
-            inputs=config.integer("in_channels", 4 if conditional else 3),
-            outputs=config.integer("out_channels", 4 if conditional else 3),
+            inputs=config.integer("in_channels", 4 if is_conditional else 3),
+            outputs=config.integer("out_channels", 4 if is_conditional else 3),
             channels=channels,
             up=up,
             layers=config.integer("layers_per_block", 2),
@@ -109,7 +109,7 @@ class UNetOptions:
             flip=config.flag("flip_sin_to_cos", default=True),
             shift=config.number("freq_shift", 0.0),
             sample=config.size("sample_size"),
-            vector=VectorOptions.of(config) if conditional else None,
+            vector=VectorOptions.of(config) if is_conditional else None,
         )
 
 

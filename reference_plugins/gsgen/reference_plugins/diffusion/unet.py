@@ -89,11 +89,11 @@ def added_vector(
         flip_sin_to_cos=options.flip,
         downscale_freq_shift=options.shift,
     )
-    joined = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
-    if joined.shape[1] != vector.length:
+    joined_features = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
+    if joined_features.shape[1] != vector.length:
         lengths = f"{pooled.shape[1]} + {len(time_ids)} × {vector.features}"
         raise ValueError(
-            f"the prompt vector and time ids have {lengths} = {joined.shape[1]} numbers, "
+            f"the prompt vector and time ids have {lengths} = {joined_features.shape[1]} numbers, "
             f"expected {vector.length}"
         )
-    return joined
+    return joined_features

@@ -70,8 +70,8 @@ def read_gaussian_avatars(
     if offset.shape == (len(flame.template) + TEETH_VERTEX_COUNT, 3):
         flame = add_teeth(flame)
     shape = arrays["shape"].astype(np.float64).ravel()
-    expr = arrays["expr"]
-    expressions = expr.shape[1] if expr.ndim == 2 else 0
+    expression_basis = arrays["expr"]
+    expressions = expression_basis.shape[1] if expression_basis.ndim == 2 else 0
     stored_shapes = flame.shape_dirs.shape[2]
     if offset.shape != (len(flame.template), 3):
         message = (

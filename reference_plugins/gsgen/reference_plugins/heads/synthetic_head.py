@@ -107,13 +107,13 @@ def _write_face_model(
 ) -> None:
     count, unit = len(vertices), vertices / _HEAD_HALF_AXES
     # Coefficients are smooth fields over the head.
-    waves = rng.normal(size=(3, SHAPE_COUNT + expressions))
-    wave_field = np.sin(2 * unit @ waves)[:, None] * rng.normal(
+    wave_vectors = rng.normal(size=(3, SHAPE_COUNT + expressions))
+    wave_field = np.sin(2 * unit @ wave_vectors)[:, None] * rng.normal(
         0, 2e-3, (1, 3, SHAPE_COUNT + expressions)
     )
     wave_field[:, :, :SHAPE_COUNT] *= 0.1
     jaw_skinning_weights = 1 / (1 + np.exp(12 * (unit[:, 1] + 0.35))) * (unit[:, 2] > 0)
-    neck = 1 - jaw_skinning_weights
+    neck_weights = 1 - jaw_skinning_weights
     joints = np.array(
         [[0, -0.15, 0], [0, -0.1, 0], [0, 0, 0.02], [0.03, 0.03, 0.07], [-0.03, 0.03, 0.07]]
     )
@@ -124,18 +124,27 @@ def _write_face_model(
     # Both lips are arcs of 15 vertices around the middle of the face.
     rings = round((count / 2) ** 0.5)
     arc_indices = np.arange(-7, 8) % (2 * rings)
-    upper = 2 * rings * round(0.6 * rings) + arc_indices
-    lower = upper + 2 * rings * max(1, round(0.06 * rings))
+    upper_ring = 2 * rings * round(0.6 * rings) + arc_indices
+    lower_ring = upper_ring + 2 * rings * max(1, round(0.06 * rings))
     model = {
         "v_template": vertices,
         "f": faces.astype(np.uint32),
         "shapedirs": wave_field,
         "posedirs": rng.normal(0, 1e-3, (count, 3, 36)),
         "J_regressor": regressor,
-        "weights": np.stack([0 * neck, neck, jaw_skinning_weights, 0 * neck, 0 * neck], axis=1),
+        "weights": np.stack(
+            [
+                0 * neck_weights,
+                neck_weights,
+                jaw_skinning_weights,
+                0 * neck_weights,
+                0 * neck_weights,
+            ],
+            axis=1,
+        ),
         "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
     }
-    masks = {"lip_outside_ring_upper": upper, "lip_outside_ring_lower": lower}
+    masks = {"lip_outside_ring_upper": upper_ring, "lip_outside_ring_lower": lower_ring}
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in (("flame2023.pkl", model), ("FLAME_masks.pkl", masks)):
         (folder / name).write_bytes(pickle.dumps(content, protocol=2))

@@ -166,10 +166,10 @@ def _conditioning(
     """Read the prompt's embeddings from the given file, or from the checkpoint's folder."""
     from gsgen.reference_plugins.images.embeddings import Embeddings, read_embeddings
 
-    usual, options = folder / _EMBEDDINGS_FILE, read.unet.options
-    if embeddings is None and (options.context is None or not usual.is_file()):
+    default_path, options = folder / _EMBEDDINGS_FILE, read.unet.options
+    if embeddings is None and (options.context is None or not default_path.is_file()):
         return Embeddings()
-    path = embeddings or usual
+    path = embeddings or default_path
     prompt = read_embeddings(path, pooled=options.vector is not None)
     note(f"conditioning: {path}, {prompt.describe()}")
     return prompt

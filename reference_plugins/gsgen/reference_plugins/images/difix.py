@@ -58,6 +58,6 @@ def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, An
     """
     if not any(_BASE_LAYER in name or ".lora_" in name for name in state):
         return dict(state), None
-    pairs, unpaired = split_pairs(state, path)
-    weights = {name.replace(_BASE_LAYER, "."): value for name, value in unpaired.items()}
+    pairs, unpaired_tensors = split_pairs(state, path)
+    weights = {name.replace(_BASE_LAYER, "."): value for name, value in unpaired_tensors.items()}
     return weights, Adapter(path=path, pairs=pairs, alpha=_DIFIX_ALPHA) if pairs else None

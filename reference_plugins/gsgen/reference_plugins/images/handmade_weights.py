@@ -49,12 +49,12 @@ def set_denoising_weights(unet: "UNet") -> None:
     weights("up_blocks.0.upsamplers.0.conv", _blur)
     blurred = options.channels[1]
     difference = weights["up_blocks.1.resnets.0.conv_shortcut.weight"]
-    norm = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
+    norm_parameters = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     output_weight = weights["conv_out.weight"]
     for color in range(COLORS):  # a group of two for each colour: both are the difference
         channel_pair = slice(2 * color, 2 * color + 2)
         difference[channel_pair, blurred + color], difference[channel_pair, color] = 1.0, -1.0
-        norm[0][channel_pair], norm[1][channel_pair] = (
+        norm_parameters[0][channel_pair], norm_parameters[1][channel_pair] = (
             _SILU_FACTOR,
             _SILU_FACTOR * torch.tensor([_MAX_DETAIL, -_MAX_DETAIL]),
         )
@@ -124,8 +124,8 @@ def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:
     _set_center_weights(weight)
     weight[COLORS, :, 4, 4] = _LUMA_WEIGHTS
     distance = torch.arange(9.0) - 4
-    square = distance[:, None] ** 2 + distance[None] ** 2
-    fine_kernel, coarse_kernel = torch.exp(-square / 2), torch.exp(-square / 8)
+    squared_distance = distance[:, None] ** 2 + distance[None] ** 2
+    fine_kernel, coarse_kernel = torch.exp(-squared_distance / 2), torch.exp(-squared_distance / 8)
     contrast = fine_kernel / fine_kernel.sum() - coarse_kernel / coarse_kernel.sum()
     weight[4] = _LUMA_WEIGHTS[:, None, None] * contrast
     weight[5] = -weight[4]

@@ -131,7 +131,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         name = f"up_blocks.{level}.resnets.{index}.conv_shortcut.weight"
         weights[name][:, :_CHANNEL_COUNT, 0, 0] = torch.eye(_CHANNEL_COUNT)
     name = "up_blocks.1.resnets.0.conv_shortcut"
-    joined_weight, fixed_bias = weights[f"{name}.weight"][:, :, 0, 0], weights[f"{name}.bias"]
+    joined_weight, layer_bias = weights[f"{name}.weight"][:, :, 0, 0], weights[f"{name}.bias"]
     gamma, beta = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     for color in range(COLORS):
         weights["conv_in.weight"][color, color, 1, 1] = 1 / scale
@@ -142,7 +142,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
             1.0,
             -1.0,
         )
-        fixed_bias[x + 6], fixed_bias[x + 7] = _ACTIVATION_SCALE, -_ACTIVATION_SCALE
+        layer_bias[x + 6], layer_bias[x + 7] = _ACTIVATION_SCALE, -_ACTIVATION_SCALE
         gamma[x : x + 2] = (
             _ACTIVATION_SCALE / 2
         )  # the standard deviation of K and −K in a group of eight
@@ -192,5 +192,5 @@ def _set_output(weights: Weights, part: str) -> None:
         weights[f"{part}.conv_out.weight"][color, channel_pair, 1, 1] = torch.tensor([1.0, -1.0])
 
 
-def _sampler(part: str, way: str) -> str:
-    return f"{part}.{way}_blocks.0.{way}samplers.0.conv.weight"
+def _sampler(part: str, direction: str) -> str:
+    return f"{part}.{direction}_blocks.0.{direction}samplers.0.conv.weight"

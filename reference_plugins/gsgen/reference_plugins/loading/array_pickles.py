@@ -102,7 +102,7 @@ class _Decoder:
             return self._decode_stored(data, dtype, shape, "F" if order == "F" else "C")
         kind = arguments[0].name if name in _OLD_OBJECTS else name
         if re.fullmatch(r"scipy\.sparse\..*\bcs[cr]_(matrix|array)", kind):
-            return self._decode_sparse(state, by_columns="csc_" in kind)
+            return self._decode_sparse(state, is_column_major="csc_" in kind)
         if kind == "chumpy.reordering.Select":
             return self._decode_selection(state)
         if kind.startswith("chumpy."):  # an array as it is, under the name x
@@ -131,13 +131,13 @@ class _Decoder:
             )
         return np.ndarray(shape, kind, buffer=content, order=order)
 
-    def _decode_sparse(self, state: dict[str, Any], *, by_columns: bool) -> _Array:
+    def _decode_sparse(self, state: dict[str, Any], *, is_column_major: bool) -> _Array:
         """Return a sparse matrix of SciPy, compressed by columns or by rows, with its zeros."""
         rows, columns = map(int, state["_shape" if "_shape" in state else "shape"])
         row_starts, minor_indices, data = (
             self.array(state[name]) for name in ("indptr", "indices", "data")
         )
-        major_count = columns if by_columns else rows
+        major_count = columns if is_column_major else rows
         counts = np.diff(row_starts)
         has_fitting_shape = row_starts.shape == (
             major_count + 1,
@@ -147,7 +147,7 @@ class _Decoder:
         self._count_numbers(rows * columns)
         array = np.zeros((rows, columns), data.dtype)
         major_index = np.repeat(np.arange(major_count), counts)
-        index = (minor_indices, major_index) if by_columns else (major_index, minor_indices)
+        index = (minor_indices, major_index) if is_column_major else (major_index, minor_indices)
         np.add.at(array, index, data)  # entries of equal index add up
         return array
 

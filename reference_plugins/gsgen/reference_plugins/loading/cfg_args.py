@@ -131,12 +131,12 @@ def _parse_expression(text: str) -> ast.expr:
         return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError):  # a ValueError: Python < 3.11.4 so refuses null characters
         # Replace it by a name of equal length, so that positions in the text stay valid.
-        parsable = _TEXT_OR_NOT_PYTHON.sub(
+        parsable_text = _TEXT_OR_NOT_PYTHON.sub(
             lambda match: "_" * len(match[0].encode()) if match["other"] else match[0], text
         )
-        if parsable == text:
+        if parsable_text == text:
             raise
-        return ast.parse(parsable, mode="eval").body
+        return ast.parse(parsable_text, mode="eval").body
 
 
 def _is_unspellable(value: ast.expr) -> bool:

@@ -30,17 +30,17 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
     iteration = None if iteration == _LAST_ITERATION else iteration
     file = path.is_file() and _RUN_FILE.fullmatch(path.name) is not None
     folder = path.parent if file else path
-    absolute = folder.absolute()
-    match = _ITERATION_PATTERN.fullmatch(absolute.name)
-    if match and absolute.parent.name in _PARENT_FOLDERS:
+    absolute_path = folder.absolute()
+    match = _ITERATION_PATTERN.fullmatch(absolute_path.name)
+    if match and absolute_path.parent.name in _PARENT_FOLDERS:
         number = int(match[1])
         if iteration not in (None, number):
             hint = "Leave out --iteration, or give the folder of the run."
             message = f"is iteration {number}, not {iteration}"
             raise NotInCheckpoint(message, where=str(path), hint=hint)
-        return absolute.parent.parent, number
-    if absolute.name in _PARENT_FOLDERS and not (folder / _CLOUD_FOLDER).exists():
-        return absolute.parent, iteration
+        return absolute_path.parent.parent, number
+    if absolute_path.name in _PARENT_FOLDERS and not (folder / _CLOUD_FOLDER).exists():
+        return absolute_path.parent, iteration
     return folder, iteration
 
 

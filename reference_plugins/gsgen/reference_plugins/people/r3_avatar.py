@@ -214,8 +214,8 @@ class R3Avatar(GaussianGenerator):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return position, opacity and covariance of the Gaussians of one body, as rows."""
         weights = torch.index_select(self.near, 0, vertex) * self.factor
-        maps = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
-        mixed_values = (weights @ maps).transpose(0, 1)
+        transform_table = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
+        mixed_values = (weights @ transform_table).transpose(0, 1)
         mixed_values = mixed_values[:24] / mixed_values[24:25]
         posed_transforms, big = mixed_values.reshape(2, 1, 3, 4, -1).unbind(dim=0)
         inverse_big_pose = inverse(big)

@@ -172,8 +172,8 @@ def guess_dataset(cfg: CfgArgs) -> str:
     """Guess the data set of a training run from the path of its data, or from the run's name."""
     source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
     body = cfg.word("smpl_type", "smpl")
-    for mark, dataset in _DATASET_NAMES.items():
-        if mark in source:
+    for name_mark, dataset in _DATASET_NAMES.items():
+        if name_mark in source:
             return dataset
     for text in (source, name):
         mentioned_datasets = [

@@ -77,19 +77,21 @@ def write_gauhuman(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_
 
 def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     noise = torch.Generator().manual_seed(options.seed)
-    turns, width = 3 * (options.joints - 1), options.width
+    rotation_size, width = 3 * (options.joints - 1), options.width
     pose: dict[str, Tensor] = {}
-    for index, (inputs, outputs) in enumerate([(turns, width), (width, width), (width, turns)]):
+    for index, (inputs, outputs) in enumerate(
+        [(rotation_size, width), (width, width), (width, rotation_size)]
+    ):
         output_gain = 0.05 if index == 2 else 1.0
         pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, output_gain)
     weights: dict[str, Tensor] = {}
     for index, inputs in enumerate([63, width, width, 63 + width]):
         weights |= random_linear(f"bw_linears.{index}", inputs, width, noise)
     weights |= random_linear("bw_fc", width, options.joints, noise, 0.3)
-    convolved = {
+    conv_weights = {
         name: value[:, :, None] if value.ndim == 2 else value for name, value in weights.items()
     }
-    return pose, convolved
+    return pose, conv_weights
 
 
 def write_lhm(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_NETS) -> Path:
@@ -130,10 +132,10 @@ def _lhm_tensors(
     count = len(samples)
     quaternion = rng.normal(size=(count, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    neutral = np.tile(np.eye(4), (55, 1, 1))
+    neutral_transforms = np.tile(np.eye(4), (55, 1, 1))
     left_vectors, _, right_vectors = np.linalg.svd(np.eye(3) + rng.normal(0, 0.03, (55, 3, 3)))
-    neutral[:, :3, :3] = left_vectors @ right_vectors  # the nearest rotations
-    neutral[:, :3, 3] = rng.normal(0, 0.01, (55, 3))
+    neutral_transforms[:, :3, :3] = left_vectors @ right_vectors  # the nearest rotations
+    neutral_transforms[:, :3, 3] = rng.normal(0, 0.01, (55, 3))
     arrays = [
         rng.normal(0, 0.005, (count, 3)),
         samples,
@@ -141,7 +143,7 @@ def _lhm_tensors(
         rng.uniform(0.5, 1, (count, 1)),
         rng.uniform(0.005, 0.025, (count, 3)),
         quaternion,
-        neutral,
+        neutral_transforms,
         rng.normal(size=10),
     ]
     return [

@@ -98,14 +98,14 @@ def write_samples(folder: Path, *, force: bool = False) -> list[Path]:
 
 def _refuse_other_content(folder: Path, draft_folder: Path) -> None:
     """Raise if the folder has files with the names of samples but other bytes than ``draft_folder``."""
-    other_files = [
+    unexpected_files = [
         name
         for name in SAMPLE_WRITERS
         if (folder / name).is_file() and not cmp(folder / name, draft_folder / name, shallow=False)
     ]
-    if other_files:
+    if unexpected_files:
         raise ConfigInvalid(
-            f"{', '.join(other_files)} of other content would be overwritten",
+            f"{', '.join(unexpected_files)} of other content would be overwritten",
             where=str(folder),
             hint="Name another folder, or replace them with --force.",
         )

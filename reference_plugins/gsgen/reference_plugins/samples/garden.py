@@ -48,15 +48,21 @@ def apply_lighting(cloud: Cloud, *, shadows: bool = True) -> Splats:
     """
     sun_direction = SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
     sun_cosine = cloud.normal @ sun_direction
-    diffuse = (
+    diffuse_light = (
         np.maximum(sun_cosine, 0)
         + cloud.translucency * np.maximum(-sun_cosine, 0)
         + 0.3 * cloud.translucency
     )
     if shadows:
-        diffuse = np.where(_is_in_shadow(cloud.position, sun_direction), 0.12 * diffuse, diffuse)
-    upward = (0.5 + 0.5 * cloud.normal[:, 1])[:, None]
-    light = diffuse[:, None] * _SUN_COLOR + upward * _SKY_COLOR + (1 - upward) * _GROUND_COLOR
+        diffuse_light = np.where(
+            _is_in_shadow(cloud.position, sun_direction), 0.12 * diffuse_light, diffuse_light
+        )
+    sky_share = (0.5 + 0.5 * cloud.normal[:, 1])[:, None]
+    light = (
+        diffuse_light[:, None] * _SUN_COLOR
+        + sky_share * _SKY_COLOR
+        + (1 - sky_share) * _GROUND_COLOR
+    )
     linear_color = cloud.color * light
     display = np.clip(linear_color / (1 + 0.25 * linear_color), 0, 1) ** (1 / 2.2)
     axes = np.stack([cloud.along, np.cross(cloud.normal, cloud.along), cloud.normal], axis=2)
@@ -144,9 +150,11 @@ def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
     tone_factor = (
         0.85 + 0.25 * np.modf(np.abs(np.sin(plank_index * 12.99) * 43758))[0] + color_grain_factor
     )
-    is_gap = np.abs(x / 0.16 % 1 - 0.5) > 0.46
+    is_plank_gap = np.abs(x / 0.16 % 1 - 0.5) > 0.46
     wood = (
-        tone_factor[:, None] * np.where(is_gap[:, None], 0.25, 1.0) * np.array([0.56, 0.33, 0.17])
+        tone_factor[:, None]
+        * np.where(is_plank_gap[:, None], 0.25, 1.0)
+        * np.array([0.56, 0.33, 0.17])
     )
     table_planks = Cloud(
         position=table_top.position,

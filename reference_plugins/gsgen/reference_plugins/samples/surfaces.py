@@ -54,8 +54,8 @@ def _cloud(
     position: Points, normal: Points, color: Points, size: float, *, translucency: float = 0.0
 ) -> Cloud:
     """Return Gaussians as round discs of standard deviation ``size``, facing ``normal``."""
-    helper = np.where(np.abs(normal[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
-    along = np.cross(helper, normal)
+    reference_axis = np.where(np.abs(normal[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    along = np.cross(reference_axis, normal)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return Cloud(
         position=position,

@@ -61,10 +61,10 @@ class FeaturePasses(MovingSplats):
 
     def __init__(self, splats: SpacetimeSplats, time: Input | None = None) -> None:
         super().__init__(splats)
-        select = inputs.control(
+        select_input = inputs.control(
             "features", range=(0, _FEATURE_GROUPS - 1), default=0.0, label="Features"
         )
-        self.inputs = (time or inputs.time(), select)
+        self.inputs = (time or inputs.time(), select_input)
         scale = FeatureScale.of(splats)
         self.register_buffer("low", scale.low.reshape(_FEATURE_GROUPS, 1, 3))
         self.register_buffer("gain", (1 / scale.width).reshape(_FEATURE_GROUPS, 1, 3))
@@ -78,8 +78,8 @@ class FeaturePasses(MovingSplats):
         for index, group in enumerate(groups):
             # 1 for the selected group, 0 for the others; numbers between two groups blend them.
             share = torch.relu(1 - (features - index).abs())
-            scaled = (group - self.low[index]) * self.feature_gain[index]
-            rgb = rgb + share * scaled.clamp(0.0, 1.0)
+            decoder_input = (group - self.low[index]) * self.feature_gain[index]
+            rgb = rgb + share * decoder_input.clamp(0.0, 1.0)
         return Gaussians(position=position, opacity=opacity, covariance=covariance, rgb=rgb)
 
 
@@ -130,8 +130,8 @@ class PixelDecoder(PostProcess):
         known = conditioning.to(image.dtype).transpose(1, 2)
         alpha = pixels[:, 3:]
         # Colours of an image are not multiplied by alpha; blended features are.
-        scaled = torch.cat([pixels[:, :3], known[:, :6]], dim=1)
-        features = alpha * (self.low + self.width * scaled)
+        decoder_input = torch.cat([pixels[:, :3], known[:, :6]], dim=1)
+        features = alpha * (self.low + self.width * decoder_input)
         hidden = self.hidden @ torch.cat([features[:, 3:], known[:, 6:]], dim=1)
         hidden = hidden + self.camera @ origin.to(image.dtype).transpose(1, 2)
         color = features[:, :3] + self.color @ torch.relu(hidden)

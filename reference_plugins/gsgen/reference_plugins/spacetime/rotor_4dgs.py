@@ -43,19 +43,22 @@ def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
     start, length = duration[0], duration[1] - duration[0]
     centre = (splats.temporal_centre.double() - start) / length
     scale = torch.exp(splats.log_scale.double())
-    temporal = torch.exp(splats.log_temporal_scale.double())
+    temporal_scale = torch.exp(splats.log_temporal_scale.double())
     if not splats.rot_4d:  # the published code takes the scale of time for a variance
         covariance = covariance_upper(scale, splats.rotation.double())
         zero_scale = torch.zeros_like(scale)
         return TimeSlices(
-            velocity=zero_scale, covariance=covariance, variance=temporal / length**2, centre=centre
+            velocity=zero_scale,
+            covariance=covariance,
+            variance=temporal_scale / length**2,
+            centre=centre,
         )
     left_matrices = _left_product(_unit_quaternion(splats.rotation))
     # The product x ↦ x r̄ is the transpose of x ↦ x r.
     right_matrices = _right_product(_unit_quaternion(splats.right_rotation)).transpose(1, 2)
     # Quaternions count time, z, y, x; Gaussians x, y, z, time.
     rotation = (left_matrices @ right_matrices).flip(1, 2)
-    root = rotation * torch.cat([scale, temporal], dim=1)[:, None]
+    root = rotation * torch.cat([scale, temporal_scale], dim=1)[:, None]
     whole = root @ root.transpose(1, 2)
     variance = whole[:, 3:, 3]
     velocity = whole[:, :3, 3] / variance

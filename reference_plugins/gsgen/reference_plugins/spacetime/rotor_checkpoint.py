@@ -138,8 +138,10 @@ def _find_file(path: Path, iteration: int | None) -> Path:
 
 def _capture_values(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
     """Return the saved ``capture()`` tuple and iteration; raise unless rotor 4DGS wrote both."""
-    is_pair = isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
-    values = content[0] if is_pair else ()
+    is_capture_pair = (
+        isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
+    )
+    values = content[0] if is_capture_pair else ()
     if len(values) == _STATIC_CAPTURE_LENGTH:
         message = "holds Gaussians without time (gaussian_dim 3)"
         raise CheckpointInvalid(

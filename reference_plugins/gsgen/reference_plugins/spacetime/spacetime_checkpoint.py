@@ -84,8 +84,8 @@ class SpacetimeCheckpoint:
     def describe(self) -> str:
         """Return the number of Gaussians and the model variant of a checkpoint as one line."""
         decoder = self.decoder
-        variant = "lite model" if decoder is None else f"full model ({decoder.activation})"
-        return f"{self.cloud}: {len(self.splats):,} Gaussians, {variant}"
+        variant_name = "lite model" if decoder is None else f"full model ({decoder.activation})"
+        return f"{self.cloud}: {len(self.splats):,} Gaussians, {variant_name}"
 
 
 def read_spacetime(path: Path, iteration: int | None = None) -> SpacetimeCheckpoint:
@@ -93,17 +93,17 @@ def read_spacetime(path: Path, iteration: int | None = None) -> SpacetimeCheckpo
     run, cloud = open_cloud("spacetime-gaussians", path, iteration, "the Gaussians with motion")
     with format_faults(cloud):
         splats = _read_splats(cloud)
-    is_full = splats.features.shape[1] > 3
-    decoder = _read_decoder(cloud.with_suffix(".pt"), run.cfg) if is_full else None
+    is_full_model = splats.features.shape[1] > 3
+    decoder = _read_decoder(cloud.with_suffix(".pt"), run.cfg) if is_full_model else None
     return SpacetimeCheckpoint(run, cloud, splats, decoder)
 
 
 def _read_splats(path: Path) -> SpacetimeSplats:
     present_names = ply_properties(path)
-    is_full = "f_t_0" in present_names or "f_dc_3" in present_names
+    is_full_model = "f_t_0" in present_names or "f_dc_3" in present_names
     features = (
         [*_numbered_names("f_dc", 6), *_numbered_names("f_t", 3)]
-        if is_full
+        if is_full_model
         else _numbered_names("f_dc", 3)
     )
     groups = {

@@ -74,11 +74,11 @@ class SpacetimeGaussians(MovingSplats):
         assert self.out is not None
         origin = camera_centre(camera)[None]
         direction = safe_normalize(position - origin)
-        albedo = self.features[:, :_FEATURE_COUNT]
+        base_colors = self.features[:, :_FEATURE_COUNT]
         specular = self.features[:, _FEATURE_COUNT : 2 * _FEATURE_COUNT]
         changing_features = time_offset * self.features[:, 2 * _FEATURE_COUNT :]
         # Each part of the input has its own product, which saves copying them into a wide tensor.
         weights = torch.split(self.hidden.weight, _FEATURE_COUNT)
         hidden = specular @ weights[0] + changing_features @ weights[1] + direction @ weights[3]
-        color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))
+        color: Tensor = base_colors + self.out(torch.relu(hidden + origin @ weights[2]))
         return torch.sigmoid(color) if self.activation == "sigmoid" else color.clamp(0.0, 1.0)

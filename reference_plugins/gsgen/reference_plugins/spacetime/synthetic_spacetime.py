@@ -45,9 +45,9 @@ def write_spacetime(
     columns |= _numbered_columns("omega", rng.normal(0, 0.1, (count, 4)))
     if full:
         columns |= _numbered_columns("f_t", rng.normal(0, 0.5, (count, 3)))
-    variant = "ours_full" if full else "ours_lite"
+    variant_name = "ours_full" if full else "ours_lite"
     function = "sandwich" if full else "rgbv1"
-    write_cfg_args(folder, {"model": variant, "rgbfunction": function, "duration": 50})
+    write_cfg_args(folder, {"model": variant_name, "rgbfunction": function, "duration": 50})
     cloud = folder / f"point_cloud/iteration_{_ITERATION_NUMBER}/point_cloud.ply"
     write_columns(cloud, columns)
     if full:

@@ -39,8 +39,8 @@ class Constants(nn.Module):
         stored_tensors = [
             tensor.float() if tensor.is_floating_point() else tensor for tensor in results
         ]
-        is_smaller = _byte_count(stored_tensors) <= _byte_count(make.buffers())
-        self.bakes = bake == "always" or (bake == "auto" and is_smaller)
+        is_stored_smaller = _byte_count(stored_tensors) <= _byte_count(make.buffers())
+        self.bakes = bake == "always" or (bake == "auto" and is_stored_smaller)
         self.make = None if self.bakes else make
         self.count = len(stored_tensors)
         for index, tensor in enumerate(stored_tensors if self.bakes else ()):

@@ -13,9 +13,9 @@ def harmonic_sum(
 ) -> Float[Tensor, "n c"]:
     """Evaluate spherical harmonics in a direction (degree 0 to 3, signs as in 3DGS)."""
     x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
-    functions = _basis(x, y, z)
-    total = coefficients[0] * next(functions)
-    for coefficient, function in zip(coefficients[1:], functions, strict=False):
+    basis_values = _basis(x, y, z)
+    total = coefficients[0] * next(basis_values)
+    for coefficient, function in zip(coefficients[1:], basis_values, strict=False):
         total = total + coefficient * function
     return total
 

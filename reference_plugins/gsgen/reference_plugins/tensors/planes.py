@@ -56,8 +56,8 @@ def covariance_planes(
 
 def planes_of(rows: Float[Tensor, "n k"]) -> list[Tensor]:
     """Split rows into one tensor [1, N] for each column."""
-    transposed = rows.transpose(0, 1)
-    return [transposed[i : i + 1] for i in range(rows.shape[1])]
+    transposed_rows = rows.transpose(0, 1)
+    return [transposed_rows[i : i + 1] for i in range(rows.shape[1])]
 
 
 def stack_planes(planes: Sequence[Tensor]) -> Tensor:

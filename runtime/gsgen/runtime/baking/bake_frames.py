@@ -223,10 +223,10 @@ class _BakeJob:
         """Compute a frame; return its drawn Gaussians, and the number of Gaussians not drawn."""
         self.progress(f"{frame_label}: running the model")
         gaussians = self._gaussians(number, frame_label)
-        mask, nonfinite = self.converter.drawn_mask(gaussians)
-        if nonfinite:
+        mask, nonfinite_count = self.converter.drawn_mask(gaussians)
+        if nonfinite_count:
             self._add_note(
-                f"frame {number}: {nonfinite:,} Gaussians are not finite and were left out"
+                f"frame {number}: {nonfinite_count:,} Gaussians are not finite and were left out"
             )
         splats = self.converter.convert(gaussians, mask)
         self._note_losses(splats)

@@ -53,9 +53,9 @@ class FrameValues:
             where for where, length in lengths.items() if length not in (1, self.frames)
         ]
         if mismatched_inputs:
-            longest = max(lengths, key=lambda where: lengths[where])
+            longest_input = max(lengths, key=lambda where: lengths[where])
             raise ConfigInvalid(
-                f"has {lengths[mismatched_inputs[0]]} frames, expected 1 or {self.frames} as {longest}",
+                f"has {lengths[mismatched_inputs[0]]} frames, expected 1 or {self.frames} as {longest_input}",
                 where=mismatched_inputs[0],
                 hint="Give all ranges the same number of frames.",
             )

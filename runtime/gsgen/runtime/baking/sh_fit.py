@@ -50,9 +50,11 @@ def fit_sh(
         normal = np.swapaxes(weighted, 1, 2) @ np.swapaxes(harmonics, 0, 1)
         target = np.swapaxes(weighted, 1, 2) @ centered_colors
         mean = np.trace(normal, axis1=1, axis2=2) / count
-        ridge = np.where(mean > 0, mean, 1)[:, None] * _RIDGE_FACTOR * (np.arange(count) > 0)
-        ridge[:, 0] += np.where(mean > 0, 0, 1)  # a row without weights becomes grey
-        sh[part] = np.linalg.solve(normal + ridge[:, :, None] * np.eye(count), target)
+        ridge_penalty = (
+            np.where(mean > 0, mean, 1)[:, None] * _RIDGE_FACTOR * (np.arange(count) > 0)
+        )
+        ridge_penalty[:, 0] += np.where(mean > 0, 0, 1)  # a row without weights becomes grey
+        sh[part] = np.linalg.solve(normal + ridge_penalty[:, :, None] * np.eye(count), target)
     return sh
 
 

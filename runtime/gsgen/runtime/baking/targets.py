@@ -63,11 +63,11 @@ def _frame_digits(match: re.Match[str], number: int) -> str:
 
 def writable_codec(path: Path, format: str | None, where: str) -> Codec:
     """Return the writable splat format with a name, or else with a path's suffix."""
-    writable = [codec for codec in CODECS if codec.write]
+    writable_codecs = [codec for codec in CODECS if codec.write]
     if format is not None:
         if format not in [codec.name for codec in CODECS]:
             raise UnknownName.among(
-                "format", format, [codec.name for codec in writable], where="--format"
+                "format", format, [codec.name for codec in writable_codecs], where="--format"
             )
         codec: Codec | None = codec_named(format)
         where = f"--format {format}"
@@ -76,7 +76,7 @@ def writable_codec(path: Path, format: str | None, where: str) -> Codec:
     if codec is None or codec.write is None:
         suffix = path.suffix or "(none)"
         actual = f"{codec.title} can only be read" if codec else f"has the suffix {suffix}"
-        suffixes = ", ".join(known_codec.suffixes[0] for known_codec in writable)
+        suffixes = ", ".join(known_codec.suffixes[0] for known_codec in writable_codecs)
         raise ConfigInvalid(
             f"{actual}, expected a format that can be written: {suffixes}",
             where=where,

@@ -154,7 +154,7 @@ def _mean_gaussians(
     appearance = views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
     assert appearance is not None
     first_array = np.zeros((size, *appearance.shape[1:]), np.float32)
-    is_set = np.zeros(size, bool)
+    is_row_set = np.zeros(size, bool)
     for view, rows in zip(views, ids, strict=True):
         gaussians = view.gaussians
         weights = np.maximum(gaussians.opacity, 1e-6).astype(
@@ -165,17 +165,17 @@ def _mean_gaussians(
         sums[rows, 3:] += weights[:, None] * gaussians.covariance
         colors = gaussians.rgb if gaussians.sh is None else gaussians.sh
         assert colors is not None
-        is_new = ~is_set[rows]
-        first_array[rows[is_new]] = colors[is_new]
-        is_set[rows] = True
+        is_new_row = ~is_row_set[rows]
+        first_array[rows[is_new_row]] = colors[is_new_row]
+        is_row_set[rows] = True
     mean = (sums / weight[:, None]).astype(np.float32)
-    is_sh = views[0].gaussians.sh is not None
+    uses_sh = views[0].gaussians.sh is not None
     return DecodedGaussians(
         position=mean[:, :3],
         opacity=opacity.mean(axis=0, dtype=np.float64).astype(np.float32),
         covariance=mean[:, 3:],
-        sh=first_array if is_sh else None,
-        rgb=None if is_sh else first_array,
+        sh=first_array if uses_sh else None,
+        rgb=None if uses_sh else first_array,
     )
 
 
@@ -183,7 +183,7 @@ def _match_rows_by_position(views: Sequence[_View], model: str) -> list[Int64[np
     """Match Gaussians of several cameras by position; return the row of each in the union."""
     ids: list[np.ndarray] = []
     known_keys = np.empty(0, np.dtype((np.void, 16)))
-    largest = max((len(view.gaussians) for view in views), default=0)
+    largest_count = max((len(view.gaussians) for view in views), default=0)
     for view in views:
         keys = np.concatenate([known_keys, _keys(view.gaussians.position)])
         _, index, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -191,10 +191,10 @@ def _match_rows_by_position(views: Sequence[_View], model: str) -> list[Int64[np
         rank = np.searchsorted(order, index)
         ids.append(rank[inverse.reshape(-1)[len(known_keys) :]])
         known_keys = keys[order]
-        if len(known_keys) > _MAX_UNION_RATIO * max(largest, 1):
+        if len(known_keys) > _MAX_UNION_RATIO * max(largest_count, 1):
             raise ConfigInvalid(
                 f"the model outputs {len(known_keys):,} different positions over {len(ids)} cameras, but "
-                f"at most {largest:,} rows per camera, so rows of different cameras cannot be matched",
+                f"at most {largest_count:,} rows per camera, so rows of different cameras cannot be matched",
                 where=model,
                 hint="Give --camera: the rows that this camera sees are baked.",
             )
@@ -207,8 +207,8 @@ def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
     _, inverse = np.unique(bits, axis=0, return_inverse=True)
     order = np.argsort(inverse.reshape(-1), kind="stable")
     ordered = inverse.reshape(-1)[order]
-    is_start = np.diff(ordered, prepend=-1) != 0
-    start_indices = np.maximum.accumulate(np.where(is_start, np.arange(len(order)), 0))
+    is_run_start = np.diff(ordered, prepend=-1) != 0
+    start_indices = np.maximum.accumulate(np.where(is_run_start, np.arange(len(order)), 0))
     occurrence_numbers = np.empty(len(order), np.uint32)
     occurrence_numbers[order] = np.arange(len(order)) - start_indices
     row_keys = np.concatenate([bits, occurrence_numbers[:, None]], axis=1)

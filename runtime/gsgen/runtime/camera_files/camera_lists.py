@@ -108,19 +108,19 @@ def is_camera_path(document: object) -> bool:
 
 def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
     """Read the camera of each frame of a nerfstudio camera path, with its ``render_time``."""
-    shared = Fields(document)
-    kind = text(shared, "camera_type", _PERSPECTIVE_TYPE).lower()
+    shared_fields = Fields(document)
+    kind = text(shared_fields, "camera_type", _PERSPECTIVE_TYPE).lower()
     if kind not in (_PERSPECTIVE_TYPE, _PANORAMA_MODEL):
         raise ConfigInvalid(
             f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA_MODEL}",
             where=path,
         )
-    frames = shared["camera_path"]
+    frames = shared_fields["camera_path"]
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
     width, height = (
-        pixel_count(shared, "render_width", path),
-        pixel_count(shared, "render_height", path),
+        pixel_count(shared_fields, "render_width", path),
+        pixel_count(shared_fields, "render_height", path),
     )
     objects = [
         Fields(require_object(frame, f"{path}, frame {index}"))
@@ -130,17 +130,19 @@ def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
         _path_camera(fields, index, f"{path}, frame {index}", (width, height), kind)
         for index, fields in enumerate(objects)
     )
-    fps = _path_rate(shared, len(frames), path)
-    notes = unused_fields(path, [shared, *objects])
+    fps = _path_rate(shared_fields, len(frames), path)
+    notes = unused_fields(path, [shared_fields, *objects])
     return CameraFile(
         path=path, format="a camera path of nerfstudio", cameras=cameras, notes=notes, fps=fps
     )
 
 
-def _path_rate(shared: Fields, count: int, path: str) -> float | None:
+def _path_rate(shared_fields: Fields, count: int, path: str) -> float | None:
     """Return the frames per second of a camera path: ``seconds`` divides its frames, or ``fps``."""
-    fps = number(shared, "fps", path) if shared.get("fps") is not None else None
-    seconds = number(shared, "seconds", path) if shared.get("seconds") is not None else None
+    fps = number(shared_fields, "fps", path) if shared_fields.get("fps") is not None else None
+    seconds = (
+        number(shared_fields, "seconds", path) if shared_fields.get("seconds") is not None else None
+    )
     if seconds is not None and seconds > 0:
         return count / seconds
     return fps if fps is not None and fps > 0 else None

@@ -80,14 +80,14 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
 
 
 def _lens_notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
-    distorted = [
+    distorted_cameras = [
         f"{number} ({lens.model})"
         for number, lens in lenses.items()
         if lens.model not in PINHOLES and any(parameters(lens.model, lens.values, "")[4])
     ]
-    if not distorted:
+    if not distorted_cameras:
         return ()
     return (
-        f"{folder}: the lens distortion of camera {', '.join(distorted[:8])} is ignored; "
+        f"{folder}: the lens distortion of camera {', '.join(distorted_cameras[:8])} is ignored; "
         "COLMAP's image_undistorter makes images that match.",
     )

@@ -77,9 +77,9 @@ def _require_points(line: str, image_name: str, where: str) -> None:
     except ValueError:
         is_list = False
     if not is_list:
-        shown = line if len(line) < 80 else line[:77] + "…"
+        shown_line = line if len(line) < 80 else line[:77] + "…"
         raise ConfigInvalid(
-            f"the line after image {image_name!r} is {shown!r}, expected its 2D points as triples "
+            f"the line after image {image_name!r} is {shown_line!r}, expected its 2D points as triples "
             "X Y POINT3D_ID, or an empty line",
             where=where,
             hint="Each image of images.txt has two lines; the second is empty without points.",

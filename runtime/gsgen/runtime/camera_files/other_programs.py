@@ -63,23 +63,29 @@ _PHOTOGRAMMETRY_PROGRAMS: Final = (
 )
 
 
-def unreadable_camera_file(start: bytes, path: Path, supported: str) -> ConfigInvalid:
+def unreadable_camera_file(start: bytes, path: Path, supported_formats: str) -> ConfigInvalid:
     """Return the error for a file whose cameras cannot be read: what it is, and the way out.
 
     Args:
         start: The file's first bytes, at least a hundred.
         path: Path of the file.
-        supported: A sentence on the supported formats.
+        supported_formats: A sentence on the supported formats.
     """
     kind = kind_of_file(path)
     is_download_fault = kind is not None and kind.name in ("html", "error")
     for program in () if is_download_fault else _PHOTOGRAMMETRY_PROGRAMS:
         if program.pattern.match(start):
             message = f"is {program.title}, expected a camera file that gsgen reads"
-            return ConfigInvalid(message, where=str(path), hint=f"{program.way_out} {supported}")
+            return ConfigInvalid(
+                message, where=str(path), hint=f"{program.way_out} {supported_formats}"
+            )
     if kind is not None and kind.name not in ("json", "text"):
         message = f"is {kind.title}, expected a camera file"
-        return ConfigInvalid(message, where=str(path), hint=f"{kind.hint} {supported}".strip())
+        return ConfigInvalid(
+            message, where=str(path), hint=f"{kind.hint} {supported_formats}".strip()
+        )
     return ConfigInvalid(
-        f"begins with {start[:16]!r}, expected a camera file", where=str(path), hint=supported
+        f"begins with {start[:16]!r}, expected a camera file",
+        where=str(path),
+        hint=supported_formats,
     )

@@ -103,8 +103,12 @@ def _axis_angle_matrix(vector: np.ndarray) -> np.ndarray:
     if angle == 0:
         return np.eye(3)
     x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
+    cross_matrix = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(
+        np.eye(3)
+        + math.sin(angle) * cross_matrix
+        + (1 - math.cos(angle)) * cross_matrix @ cross_matrix
+    )
 
 
 def is_openmvg(document: object) -> bool:
@@ -162,9 +166,9 @@ def _records(entries: object, path: str) -> Iterable[tuple[object, dict[str, Any
         yield record.get("key"), fields
 
 
-def _unsupported_lens(kind: str, supported: tuple[str, ...], where: str) -> ConfigInvalid:
+def _unsupported_lens(kind: str, supported_types: tuple[str, ...], where: str) -> ConfigInvalid:
     return ConfigInvalid(
-        f"has a camera of type {kind}, expected one of {', '.join(supported)}",
+        f"has a camera of type {kind}, expected one of {', '.join(supported_types)}",
         where=where,
         hint="Undistort the pictures first, and give the cameras of the undistorted pictures.",
     )

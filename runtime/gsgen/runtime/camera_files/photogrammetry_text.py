@@ -64,11 +64,11 @@ def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None
         ) from error
     rows = rows.reshape(count, _CAMERA_NUMBERS)
     names = _bundler_names(path.parent, count)
-    located = [index for index in range(count) if rows[index, 0] != 0]
-    if not located:
+    located_indices = [index for index in range(count) if rows[index, 0] != 0]
+    if not located_indices:
         raise ConfigInvalid(f"has no located camera among {count}", where=str(path))
     cameras = []
-    for index in located:
+    for index in located_indices:
         where, focal = f"{path}, camera {index}", float(rows[index, 0])
         width, height = picture_size(path.parent, names[index], size, where)
         view = np.eye(4)
@@ -79,9 +79,9 @@ def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None
             NamedCamera(names[index], camera_at(where, view=view, fx=focal, fy=focal, **middle))
         )
     notes: tuple[str, ...] = ()
-    if len(located) < count:
-        notes += (f"{path}: {count - len(located)} of {count} cameras were not located",)
-    if rows[located, 1:3].any():
+    if len(located_indices) < count:
+        notes += (f"{path}: {count - len(located_indices)} of {count} cameras were not located",)
+    if rows[located_indices, 1:3].any():
         notes += (f"{path}: the lens distortion is ignored; undistorted pictures match",)
     return CameraFile(
         path=str(path), format="a bundle file of Bundler", cameras=tuple(cameras), notes=notes
@@ -143,9 +143,9 @@ def read_metashape(content: bytes, path: str) -> CameraFile:
 def _calibration(sensor: ElementTree.Element) -> Fields:
     """Return the numbers of a sensor's calibration; an adjusted one comes before an initial one."""
     calibrations = {entry.get("class"): entry for entry in sensor.iterfind("calibration")}
-    chosen = calibrations.get("adjusted", next(iter(calibrations.values()), None))
+    chosen_calibration = calibrations.get("adjusted", next(iter(calibrations.values()), None))
     values: dict[str, Any] = {}
-    for entry in chosen if chosen is not None else ():
+    for entry in chosen_calibration if chosen_calibration is not None else ():
         try:
             values[entry.tag] = float(entry.text or "")
         except ValueError:

@@ -55,11 +55,11 @@ def read_transforms(
         path: Path of the file.
         size: Width and height of frames that have neither a size nor a picture.
     """
-    shared = Fields(document)
-    frames = shared["frames"]
+    shared_fields = Fields(document)
+    frames = shared_fields["frames"]
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
-    objects = [shared]
+    objects = [shared_fields]
     cameras: list[NamedCamera] = []
     distorted_count = 0
     for index, frame in enumerate(frames):
@@ -68,7 +68,7 @@ def read_transforms(
             raise ConfigInvalid(
                 f"the frame is a {type(frame).__name__}, expected an object", where=where
             )
-        fields = Fields(frame, shared)
+        fields = Fields(frame, shared_fields)
         objects.append(fields)
         cameras.append(_camera(fields, index, where, _frame_size(fields, path, where, size)))
         coefficients = [fields.get(name) for name in _DISTORTION_FIELDS]

@@ -68,12 +68,12 @@ def unlike_reference_image() -> ModelSpec:
 
 def with_reference(spec: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
     """Return a model with a reference image of 64×36 pixels, from four units away."""
-    facing_camera = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
+    camera_pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
     reference = ReferenceImage(
         path="reference.png",
         sha256=hashlib.sha256(png).hexdigest(),
         inputs="no inputs",
-        view=facing_camera,
+        view=camera_pose,
         focal=(50.0, 50.0),
         center=(32.0, 18.0),
     )

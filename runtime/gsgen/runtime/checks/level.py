@@ -229,15 +229,15 @@ def decibels(a: Frame, b: Frame) -> float:
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     """Return the camera in a set of test inputs, or else one that looks at the model's bounds."""
-    by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
+    inputs_by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
-    default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))
-    if "view" not in by_role:
+    default_camera = _camera_at_bounds(manifest, inputs_by_role.get("camera_position"))
+    if "view" not in inputs_by_role:
         return default_camera
-    view = as_tensor(np.asarray(by_role["view"], np.float64), order).astype(np.float64)
-    if "projection" not in by_role:
+    view = as_tensor(np.asarray(inputs_by_role["view"], np.float64), order).astype(np.float64)
+    if "projection" not in inputs_by_role:
         return replace(default_camera, view=view)
-    lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(np.float64)
+    lens = as_tensor(np.asarray(inputs_by_role["projection"], np.float64), order).astype(np.float64)
     height = max(1, round(_PICTURE_WIDTH * lens[0, 0] / -lens[1, 1]))
     return Camera(
         view,

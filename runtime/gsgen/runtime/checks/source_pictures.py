@@ -176,15 +176,13 @@ def _find_probe(subject: InspectedModel, settings: Settings, label: str | None) 
     if manifest is None:
         message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=where)
-    bound = [
+    camera_inputs = [
         input_spec.name
         for input_spec in manifest.inputs
         if input_spec.role in CAMERA_ROLES and manifest.depends(input_spec)
     ]
-    if bound:
-        message = (
-            f"depends on the camera ({', '.join(bound)}), so no other camera's picture can be drawn"
-        )
+    if camera_inputs:
+        message = f"depends on the camera ({', '.join(camera_inputs)}), so no other camera's picture can be drawn"
         hint = "If only culling depends on it, declare a copy without the input."
         raise RecordingRefused(message, where=where, hint=hint)
     probes = make_plan(subject, Level.VALUES, settings.seed).probes

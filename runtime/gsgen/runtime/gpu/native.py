@@ -97,8 +97,8 @@ _RUNTIME_CHECKS: Final = 0x1F ^ _BOUNDED_LOOPS
 
 def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
     """Compile the WGSL text of a shader whose loops all end; other checks of wgpu stay."""
-    native = getattr(raw, "_internal", None)  # a device that records has none
-    create = None if native is None else _load_function(_CREATE_FUNCTION)
+    native_device = getattr(raw, "_internal", None)  # a device that records has none
+    create = None if native_device is None else _load_function(_CREATE_FUNCTION)
     if create is None:
         return raw.create_shader_module(label=label, code=code)
     from wgpu.backends.wgpu_native import GPUShaderModule, ffi, lib
@@ -110,7 +110,7 @@ def create_shader_module(raw: RawDevice, label: str, code: str) -> ShaderModule:
     descriptor = ffi.new("WGPUShaderModuleDescriptor *")
     descriptor.nextInChain = ffi.cast("WGPUChainedStruct *", shader)
     descriptor.label.data, descriptor.label.length = name, len(name) - 1
-    return GPUShaderModule(label, create(native, descriptor, _RUNTIME_CHECKS), raw)
+    return GPUShaderModule(label, create(native_device, descriptor, _RUNTIME_CHECKS), raw)
 
 
 def timestamp_period(raw: RawDevice) -> float:

@@ -64,18 +64,18 @@ def cast_rays(
             if intersection is None:
                 continue
             hit_depth, weights, unit_normal = intersection
-            is_nearer = hit_depth < depth[part]
-            depth[part] = np.where(is_nearer, hit_depth, depth[part])
+            is_nearer_hit = hit_depth < depth[part]
+            depth[part] = np.where(is_nearer_hit, hit_depth, depth[part])
             facing_cosine = (ray_direction[part] @ unit_normal)[..., None]
             facing_normal = np.where(facing_cosine > 0, -unit_normal, unit_normal)
-            normal[part] = np.where(is_nearer[..., None], facing_normal, normal[part])
+            normal[part] = np.where(is_nearer_hit[..., None], facing_normal, normal[part])
             mesh_color = _convert_color_space(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ray_direction[part], axis=-1, keepdims=True)
                 mesh_color = mesh_color * (
                     _AMBIENT_LIGHT + (1 - _AMBIENT_LIGHT) * np.abs(facing_cosine) / length
                 )
-            color[part] = np.where(is_nearer[..., None], mesh_color, color[part])
+            color[part] = np.where(is_nearer_hit[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
 
 

@@ -105,18 +105,18 @@ def _blend(
             )
             is_pending &= ~is_covered
         # Step 3: the splat is drawn where it is opaque enough, before walls, and leaves enough light.
-        before = transmittance[window].copy()
+        light_before = transmittance[window].copy()
         is_in_front = splats.depth[i] <= surfaces.depth[window]
         is_hit = (alpha >= MIN_ALPHA) & ~is_finished[window] & is_in_front
         visible += bool((alpha >= MIN_ALPHA).any())
-        after = before * (1 - alpha)
-        is_stopped = is_hit & (after <= _MIN_TRANSMITTANCE)
+        light_after = light_before * (1 - alpha)
+        is_stopped = is_hit & (light_after <= _MIN_TRANSMITTANCE)
         # Step 4: mark pixels where the last bits of float32 may decide otherwise.
         is_near_edge = _is_near_edge(unclamped_alpha, dx, camera)
         is_near_surface = _is_touching_surface(splats.depth[i], surfaces.depth[window])
         is_near_surface |= _is_touching_surface(splats.depth[i], layer.depth[window])
         fragile[window] |= ~is_finished[window] & (alpha >= MIN_ALPHA) & is_near_surface
-        is_near_stop = is_hit & (np.abs(after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
+        is_near_stop = is_hit & (np.abs(light_after / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND)
         fragile[window] |= ~is_finished[window] & (is_near_edge | is_near_stop)
         if is_tied[i]:
             fragile[window] |= is_hit & previous_hit[window]
@@ -125,16 +125,16 @@ def _blend(
         # Step 5: add the share of the light that the splat takes, and keep the rest.
         is_finished[window] |= is_stopped
         is_drawn = is_hit & ~is_stopped
-        contribution = np.where(is_drawn, alpha * before, 0)
+        contribution = np.where(is_drawn, alpha * light_before, 0)
         color[window] += contribution[..., None] * splats.color[i]
         normal[window] += contribution[..., None] * splats.normal[i]
         depth[window] += contribution * splats.depth[i]
         # Step 6: the median depth is where half of the light is gone.
-        is_median = is_hit & (before >= 0.5) & (after < 0.5)
+        is_median = is_hit & (light_before >= 0.5) & (light_after < 0.5)
         median[window] = np.where(is_median, splats.depth[i], median[window])
         ids[window] = np.where(is_median, splats.index[i], ids[window])
-        fragile_median[window] |= is_hit & (np.abs(after - 0.5) <= FRAGILE_BAND)
-        transmittance[window] = np.where(is_drawn, after, before)
+        fragile_median[window] |= is_hit & (np.abs(light_after - 0.5) <= FRAGILE_BAND)
+        transmittance[window] = np.where(is_drawn, light_after, light_before)
     # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
     _blend_layer(is_pending, layer, color, normal, depth, transmittance, median, fragile_median)
     is_surface = np.isfinite(surfaces.depth)

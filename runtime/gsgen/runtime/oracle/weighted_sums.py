@@ -314,8 +314,8 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
 def _bounding_radii(covariance: np.ndarray, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Return circle radii of projected Gaussians in pixels, and the radii's float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
-    longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
-    radius = sigmas * np.sqrt(longest)
+    largest_eigenvalue = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
+    radius = sigmas * np.sqrt(largest_eigenvalue)
     is_uncertain = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
     return np.ceil(radius), np.where(is_uncertain, 1.1, _EDGE_TOLERANCE_PIXELS)
 
@@ -326,13 +326,13 @@ def _cell_pixels(
     """Return masks: pixels covered by a group of Gaussians; pixels where rounding decides that."""
     (radius,), (ring_radius,) = _bounding_radii(covariance[None], 2)
     boxes = [
-        _tiles(mean + offset * np.array(diagonal), radius, camera)
+        _tiles(mean + offset * np.array(diagonal_direction), radius, camera)
         for offset in (
             [-_EDGE_TOLERANCE_PIXELS, _EDGE_TOLERANCE_PIXELS]
             if ring_radius < 1
             else [-_EDGE_TOLERANCE_PIXELS, _EDGE_TOLERANCE_PIXELS, -1.1, 1.1]
         )
-        for diagonal in ((1, 1), (1, -1))
+        for diagonal_direction in ((1, 1), (1, -1))
     ]
     pixel_box = _tiles(mean, radius, camera)
     return pixel_box, np.any([candidate != pixel_box for candidate in boxes], axis=0)

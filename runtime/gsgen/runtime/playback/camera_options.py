@@ -79,22 +79,22 @@ class Viewpoint:
 
     def _camera_shape_notes(self) -> tuple[str, ...]:
         """Return a note if images have another shape than the cameras of the file."""
-        reshaped = [
+        reshaped_cameras = [
             camera
             for camera in self.cameras
             if not self.is_panorama and not camera.has_shape(*self._size(camera))
         ]
-        if not reshaped:
+        if not reshaped_cameras:
             return ()
-        camera, (width, height) = reshaped[0], self._size(reshaped[0])
+        camera, (width, height) = reshaped_cameras[0], self._size(reshaped_cameras[0])
         is_wider = width * camera.height > height * camera.width
-        effect = "shows more at" if is_wider else "crops"
+        frame_effect = "shows more at" if is_wider else "crops"
         sides = "the left and right"
         if camera.kind == "panorama":
-            effect, sides = "crops", "the top and bottom" if is_wider else sides
+            frame_effect, sides = "crops", "the top and bottom" if is_wider else sides
         return (
-            f"{len(reshaped)} of {len(self.cameras)} cameras have another shape, such as "
-            f"{camera.width}×{camera.height}: an image of {width}×{height} {effect} {sides}, and "
+            f"{len(reshaped_cameras)} of {len(self.cameras)} cameras have another shape, such as "
+            f"{camera.width}×{camera.height}: an image of {width}×{height} {frame_effect} {sides}, and "
             "nothing is stretched",
         )
 

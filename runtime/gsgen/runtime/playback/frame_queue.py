@@ -141,12 +141,14 @@ class FrameQueue:
         Raises:
             GsgenError: See :meth:`gsgen.runtime.renderer.renderer.Renderer.render`.
         """
-        submitted, states = self._frames.popleft()
+        queued_frame, states = self._frames.popleft()
         self.statistics.frames += 1
-        if isinstance(submitted, Frame):
-            return submitted
+        if isinstance(queued_frame, Frame):
+            return queued_frame
         with self._update_statistics():
-            return self._renderer.collect(submitted) or self._redraw_frame(submitted.camera, states)
+            return self._renderer.collect(queued_frame) or self._redraw_frame(
+                queued_frame.camera, states
+            )
 
     def _redraw_frame(self, camera: Camera, states: list[_DataState]) -> Frame:
         """Draw a frame from the arrays that it was submitted with, and wait for it."""

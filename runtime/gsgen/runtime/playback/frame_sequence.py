@@ -89,9 +89,9 @@ class FrameSequence(Playback):
             antialias=antialias,
         )
         self._view, self._mode, self.notes = view, mode, view.notes + notes
-        is_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
+        is_camera_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
         self._turn_degrees = (
-            turn if turn is not None else (FULL_TURN_DEGREES if is_turning else 0.0)
+            turn if turn is not None else (FULL_TURN_DEGREES if is_camera_turning else 0.0)
         )
         self.player = self.make_player(renderer, background, PICTURE_MODES[mode], post)
         self._last_frame: Frame | None = None
@@ -101,8 +101,8 @@ class FrameSequence(Playback):
         """What several frames of these options show: an animation, a turntable or stills."""
         if self._timeline.is_animated:
             return "goes through the range of the animation"
-        turns = self._view.orbit is not None
-        return "makes a turntable" if turns else "makes a turntable with `--camera orbit`"
+        is_orbiting = self._view.orbit is not None
+        return "makes a turntable" if is_orbiting else "makes a turntable with `--camera orbit`"
 
     def frame_request(self, number: int) -> FrameRequest:
         """Return the camera and the input values of frame ``number``, from 0."""

@@ -155,8 +155,8 @@ def post_process(
     dtype = np.float16 if "float16" in by_name[name].type else np.float32
 
     def run(part: np.ndarray) -> np.ndarray:
-        feeds = dict(extra_inputs or {}) | {name: part.astype(dtype)}
-        return np.asarray(session.run(None, feeds)[0])
+        input_feeds = dict(extra_inputs or {}) | {name: part.astype(dtype)}
+        return np.asarray(session.run(None, input_feeds)[0])
 
     if not all(isinstance(side, int) for side in size):
         return run(image)

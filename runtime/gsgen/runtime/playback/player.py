@@ -166,11 +166,11 @@ class Player:
         self, computed: Iterator[tuple[FrameRequest, int]], queue: FrameQueue, max_in_flight: int
     ) -> Iterator[Frame]:
         """Yield the frames of computed requests in order, of which ``max_in_flight`` may be in flight."""
-        submitted: deque[tuple[FrameRequest, int]] = deque()
+        submitted_requests: deque[tuple[FrameRequest, int]] = deque()
 
         def take(left: int) -> Iterator[Frame]:
             while len(queue) > left:
-                yield self._post_process(queue.take(), *submitted.popleft())
+                yield self._post_process(queue.take(), *submitted_requests.popleft())
 
         while True:
             try:
@@ -184,7 +184,7 @@ class Player:
             except Exception:
                 yield from take(0)  # the error is of a later frame
                 raise
-            submitted.append(frame)
+            submitted_requests.append(frame)
             yield from take(max_in_flight - 1)
         yield from take(0)
 
@@ -402,6 +402,6 @@ class GeneratorPlayer:
 def _merge_outputs(
     time: float | None, pose: np.ndarray | None, values: Values | None
 ) -> dict[str, object]:
-    by_role = {"time": time, "pose": pose}
-    values_by_role = {name: value for name, value in by_role.items() if value is not None}
+    value_by_role = {"time": time, "pose": pose}
+    values_by_role = {name: value for name, value in value_by_role.items() if value is not None}
     return values_by_role | dict(values or {})

@@ -72,9 +72,9 @@ class PostProcessor:
         self._shapes = {spec.name: spec for spec in _tensor_specs(facts)}
         self._size_bindings = facts.sizes(self._sizes)
         self._axes = {
-            axis: dim or f"{self._image}[{axis + 2}]"
-            for axis, dim in enumerate(self._shapes[self._image].dims[2:])
-            if not isinstance(dim, int)
+            axis: dimension or f"{self._image}[{axis + 2}]"
+            for axis, dimension in enumerate(self._shapes[self._image].dims[2:])
+            if not isinstance(dimension, int)
         }
         self._session_and_size: tuple[tuple[int, int], FrameSession] | None = None
         if not self._axes:
@@ -215,8 +215,8 @@ def _tensor_specs(facts: "ModelFacts") -> "Iterator[TensorSpec]":
     for value in facts.file.proto.graph.input:
         tensor = value.type.tensor_type
         dims = tuple(
-            dim.dim_value if dim.HasField("dim_value") else dim.dim_param or None
-            for dim in tensor.shape.dim
+            dimension.dim_value if dimension.HasField("dim_value") else dimension.dim_param or None
+            for dimension in tensor.shape.dim
         )
         yield TensorSpec(value.name, np.dtype(np.float32), dims)
 

@@ -66,14 +66,14 @@ class DepthOrder:
             steps, side = self._sort_by_key(
                 capacity, counts, list(columns), histograms, has_histogram=bool(has_histogram)
             )
-            sorted_ = columns[side]
+            sorted_column = columns[side]
         else:
-            steps, sorted_ = self._deep_sort_steps(
+            steps, sorted_column = self._deep_sort_steps(
                 capacity, counts, columns, low_keys, spare_keys, histograms
             )
         origin_buffers = () if origins is None else (origins,)
         tie_kernel = self._tie_kernel(bool(origin_buffers))
-        keys, order = sorted_
+        keys, order = sorted_column
         return [
             *steps,
             tie_kernel.step(capacity, counts, keys, low_keys, order, *origin_buffers),

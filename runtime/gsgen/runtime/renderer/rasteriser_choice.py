@@ -109,11 +109,11 @@ def choose(device: Device, kernels: Kernels, measure: MeasureTimings | None = No
         return "tiles"
     key = _device_key(device)
     if key not in _timings_by_device:
-        cached = _read_cache().get(key)
-        if cached is None:
-            cached = (measure or measure_options)(device, kernels)
-            _write_cache(_read_cache() | {key: cached})
-        _timings_by_device[key] = cached
+        cached_choice = _read_cache().get(key)
+        if cached_choice is None:
+            cached_choice = (measure or measure_options)(device, kernels)
+            _write_cache(_read_cache() | {key: cached_choice})
+        _timings_by_device[key] = cached_choice
     return _timings_by_device[key].fastest_rasteriser
 
 
@@ -137,10 +137,10 @@ def describe_choice(device: Device) -> str:
     if not device.blends_floats:
         return f"{text}rasteriser tiles: the device cannot blend 32-bit floats"
     timings = _timings_by_device[_device_key(device)]
-    large, small_kernels, quads = (
+    large_kernels, small_kernels, quads = (
         f"{1e3 * seconds:.2f} ms" for seconds in (timings.tiles, timings.small_tiles, timings.quads)
     )
-    measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small_kernels}, quads {quads}"
+    measured = f"tiles of {LARGE_TILE} {large_kernels}, of {TILE} {small_kernels}, quads {quads}"
     return f"{text}rasteriser {timings.fastest_rasteriser}: {measured}"
 
 
@@ -195,13 +195,13 @@ def measure_options(
     return Timings(*(seconds[option][clock_index] for option in ("tiles", "quads", "small")))
 
 
-def _random_splats(n: int, aspect: float) -> SplatData:
+def _random_splats(n: int, aspect_ratio: float) -> SplatData:
     """Return random Gaussians of a few pixels that cover the image several times over."""
     rng = np.random.default_rng(0)
     rows = np.zeros((n, 10), np.float32)
     z = rng.uniform(2, 8, n)
-    across = rng.uniform(-0.5, 0.5, (n, 2)) * (1, aspect)
-    rows[:, :2], rows[:, 2] = across * z[:, None], z
+    screen_offsets = rng.uniform(-0.5, 0.5, (n, 2)) * (1, aspect_ratio)
+    rows[:, :2], rows[:, 2] = screen_offsets * z[:, None], z
     rows[:, 3] = rng.beta(1.2, 0.8, n)
     for column in (4, 7, 9):
         rows[:, column] = np.square(z * 2e-3 * np.exp(0.6 * rng.normal(size=n)))

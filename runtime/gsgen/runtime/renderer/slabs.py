@@ -411,13 +411,13 @@ class Slabs:
             uniform: Buffer with the uniforms of all pages.
             panorama: Whether the image is a panorama.
         """
-        steps, (frame, _, *others) = [], outputs
+        steps, (frame, _, *other_buffers) = [], outputs
         for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True)):
             if page.slots is not None:
                 cull_kernel = self._kernels.cull_slots(page, panorama=panorama, keys_only=True)
-                steps.append(cull_kernel.step(frame, keys, others[-1], uniform, slot, page))
+                steps.append(cull_kernel.step(frame, keys, other_buffers[-1], uniform, slot, page))
             project = self._kernels.project(page, panorama=panorama, slab="keys")
-            steps.append(project.step((frame, keys, *others), uniform, slot, page))
+            steps.append(project.step((frame, keys, *other_buffers), uniform, slot, page))
         return steps
 
     def tally_steps(self, uniform: Buffer) -> list[Step]:

@@ -81,7 +81,7 @@ def _draw_counting_lists(
     totals = lists.storage("totals of tiles", 4 * lists.tiles)
     members = lists.storage("splats of tiles", 4 * lists.pair_capacity)
     uniforms = (lists.frame, lists.counts)
-    tally, total, begin, fill = kernels.list_tiles(panorama=panorama).steps(
+    tally_step, total_step, begin_step, fill_step = kernels.list_tiles(panorama=panorama).steps(
         lists.tiles,
         (
             *uniforms,
@@ -102,7 +102,11 @@ def _draw_counting_lists(
         rows=lists.tiles,
         total=Counts.PAIRS,
     )
-    return {"bin": [tally, total, *scan_steps, begin], "group": [fill]}, members, [counters]
+    return (
+        {"bin": [tally_step, total_step, *scan_steps, begin_step], "group": [fill_step]},
+        members,
+        [counters],
+    )
 
 
 def _bin_steps(
@@ -112,11 +116,13 @@ def _bin_steps(
     walk_rows = kernels.sort_config.walk_rows
     run_pairs = lists.storage("run pairs", 4 * -(-lists.gaussians // walk_rows))
     resources = (lists.frame, lists.counts, lists.order, lists.tiles_of, run_pairs)
-    measure, emit = kernel.steps(lists.counts, (*resources, *pairs, *lists.splats), histogram)
+    measure_step, emit_step = kernel.steps(
+        lists.counts, (*resources, *pairs, *lists.splats), histogram
+    )
     scan_steps = kernels.scan.steps(
         lists.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
     )
-    return [measure, *scan_steps, emit]
+    return [measure_step, *scan_steps, emit_step]
 
 
 def _group_steps(

@@ -257,13 +257,13 @@ class WeightedPart:
     def _bin_steps(self, order: Buffer, cell_circles: Buffer, pairs: Columns) -> list[Step]:
         walk_rows = self._kernels.sort_config.walk_rows
         run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk_rows))
-        measure, emit = self._kernels.bin_cells(panorama=self._image.panorama).steps(
+        measure_step, emit_step = self._kernels.bin_cells(panorama=self._image.panorama).steps(
             self.counts, (self._frame, self.counts, order, cell_circles, run_pairs, *pairs)
         )
         scan_steps = self._kernels.scan.steps(
             self.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
         )
-        return [measure, *scan_steps, emit]
+        return [measure_step, *scan_steps, emit_step]
 
     def _group_steps(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return GPU dispatches that sort pairs of Gaussian group and tile, and their buffer."""

@@ -135,53 +135,60 @@ def _float_array(
     array: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
 ) -> Float32[np.ndarray, "n c"]:
     """Convert rows of finite vertex attributes to float32 in C order."""
-    converted = np.asarray(array)
+    source_array = np.asarray(array)
     is_valid = (
-        converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
+        source_array.ndim == 2
+        and source_array.shape[1] in widths
+        and source_array.dtype.kind in "fiu"
     )
-    if not is_valid or (rows is not None and len(converted) != rows):
+    if not is_valid or (rows is not None and len(source_array) != rows):
         expected = " or ".join(map(str, widths))
         raise SceneInvalid(
-            f"is {converted.dtype} {list(converted.shape)}, expected numbers "
+            f"is {source_array.dtype} {list(source_array.shape)}, expected numbers "
             f"[{'N' if rows is None else rows}, {expected}]",
             where=where,
         )
-    invalid_rows = ~(np.abs(converted) <= _MAX_COORDINATE).all(axis=1)
+    invalid_rows = ~(np.abs(source_array) <= _MAX_COORDINATE).all(axis=1)
     if invalid_rows.any():
         row = int(invalid_rows.argmax())
         raise SceneInvalid(
-            f"{invalid_rows.sum():,} of {len(converted):,} rows are not finite or beyond {_MAX_COORDINATE:g}; "
-            f"row {row} is {converted[row].tolist()}",
+            f"{invalid_rows.sum():,} of {len(source_array):,} rows are not finite or beyond {_MAX_COORDINATE:g}; "
+            f"row {row} is {source_array[row].tolist()}",
             where=where,
             hint="Remove these vertices and the faces that use them.",
         )
-    return np.ascontiguousarray(converted, np.float32)
+    return np.ascontiguousarray(source_array, np.float32)
 
 
 def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
-    converted = np.asarray(array)
-    if converted.ndim != 2 or converted.shape[1] != 3 or converted.dtype.kind not in "iu":
+    source_array = np.asarray(array)
+    if source_array.ndim != 2 or source_array.shape[1] != 3 or source_array.dtype.kind not in "iu":
         raise SceneInvalid(
-            f"is {converted.dtype} {list(converted.shape)}, expected integers [F, 3]", where="faces"
+            f"is {source_array.dtype} {list(source_array.shape)}, expected integers [F, 3]",
+            where="faces",
         )
-    invalid_rows = ~((converted >= 0) & (converted < vertices)).all(axis=1)
+    invalid_rows = ~((source_array >= 0) & (source_array < vertices)).all(axis=1)
     if invalid_rows.any():
         row = int(invalid_rows.argmax())
         raise SceneInvalid(
-            f"row {row} is {converted[row].tolist()}, expected indices of {vertices:,} vertices",
+            f"row {row} is {source_array[row].tolist()}, expected indices of {vertices:,} vertices",
             where="faces",
         )
-    return np.ascontiguousarray(converted, np.uint32)
+    return np.ascontiguousarray(source_array, np.uint32)
 
 
 def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
-    converted = np.asarray(array)
-    is_valid = converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
-    if not is_valid or 0 in converted.shape:
+    source_array = np.asarray(array)
+    is_valid = (
+        source_array.ndim == 3
+        and source_array.shape[2] in (3, 4)
+        and source_array.dtype == np.uint8
+    )
+    if not is_valid or 0 in source_array.shape:
         raise SceneInvalid(
-            f"is {converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",
+            f"is {source_array.dtype} {list(source_array.shape)}, expected uint8 [height, width, 3 or 4]",
             where="texture",
         )
-    opaque = np.full((*converted.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = converted[..., :3]
-    return opaque
+    rgba_texture = np.full((*source_array.shape[:2], 4), 255, np.uint8)
+    rgba_texture[..., :3] = source_array[..., :3]
+    return rgba_texture

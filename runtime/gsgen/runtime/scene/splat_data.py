@@ -89,8 +89,10 @@ class SplatData:
             packed: The rows.
             space: Kind of the appearance; if None, three or four channels mean RGB.
         """
-        is_rgb = packed.appearance.shape[1] in (3, 4)
-        return cls(packed.gaussians, packed.appearance, space or ("rgb" if is_rgb else "sh"))
+        is_rgb_appearance = packed.appearance.shape[1] in (3, 4)
+        return cls(
+            packed.gaussians, packed.appearance, space or ("rgb" if is_rgb_appearance else "sh")
+        )
 
     @classmethod
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
@@ -186,17 +188,17 @@ def _validate_rows(
     rows: np.ndarray, appearance: np.ndarray, space: Literal["sh", "rgb"], count: int | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return validated packed Gaussians and colours in C order, and the number of Gaussians."""
-    allowed = layout.APPEARANCE_CHANNELS[space]
+    allowed_channels = layout.APPEARANCE_CHANNELS[space]
     if rows.ndim != 2 or rows.shape[1] != layout.ROW_LENGTH or rows.dtype not in _APPEARANCE_DTYPES:
         raise SceneInvalid(
             f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW_LENGTH}]",
             where="rows",
         )
-    is_valid = appearance.ndim == 2 and appearance.shape[1] in allowed
+    is_valid = appearance.ndim == 2 and appearance.shape[1] in allowed_channels
     if not is_valid or len(appearance) != len(rows) or appearance.dtype not in _APPEARANCE_DTYPES:
         raise SceneInvalid(
             f"is {appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
-            f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
+            f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed_channels))} for {space}",
             where="appearance",
         )
     live_count = len(rows) if count is None else int(count)

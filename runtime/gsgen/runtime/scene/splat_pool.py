@@ -79,9 +79,9 @@ class SplatPool:
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
-            allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
+            allowed_channels = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
             raise SceneInvalid(
-                f"the splat pool has {channels} colour channels, expected one of {allowed}",
+                f"the splat pool has {channels} colour channels, expected one of {allowed_channels}",
                 where="pool",
             )
         self.slot_rows, self.channels = slot_rows, channels
@@ -243,9 +243,9 @@ class SplatPool:
         self._overwrite_slots(part, rows, appearance, origin)
         self.live[staged_slots] = 0
         if end_row == count:
-            starts = self.slot_rows * np.arange(len(staged_slots))
+            slot_starts = self.slot_rows * np.arange(len(staged_slots))
             self.live[drawn] = 0
-            self.live[staged_slots] = np.clip(count - starts, 0, self.slot_rows)
+            self.live[staged_slots] = np.clip(count - slot_starts, 0, self.slot_rows)
             self._slots_by_tile[tile] = staged_slots + drawn
 
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:

@@ -50,17 +50,17 @@ def box_around(data: SplatData) -> Box | None:
     finite = np.isfinite(rows[:, layout.POSITION]).all(axis=1)
     opacity = rows[:, layout.OPACITY]
     is_visible = finite & (opacity > 0)
-    chosen = rows[is_visible if is_visible.any() else finite].astype(np.float64)
-    if not len(chosen):
+    chosen_centers = rows[is_visible if is_visible.any() else finite].astype(np.float64)
+    if not len(chosen_centers):
         return None
-    centers = chosen[:, layout.POSITION]
-    variances = chosen[:, layout.VARIANCES]
+    centers = chosen_centers[:, layout.POSITION]
+    variances = chosen_centers[:, layout.VARIANCES]
     sigmas = np.sqrt(np.nan_to_num(np.maximum(variances, 0), nan=0.0, posinf=0.0))
-    retained = ~_is_floater(centers, sigmas)
+    is_retained = ~_is_floater(centers, sigmas)
     # The edge of a Gaussian is where its alpha falls below what the renderer draws.
-    alpha = np.clip(chosen[:, layout.OPACITY], _VISIBLE_ALPHA, 1.0)
+    alpha = np.clip(chosen_centers[:, layout.OPACITY], _VISIBLE_ALPHA, 1.0)
     radii = sigmas * np.sqrt(2 * np.log(alpha / _VISIBLE_ALPHA))[:, None]
-    low, high = (centers - radii)[retained], (centers + radii)[retained]
+    low, high = (centers - radii)[is_retained], (centers + radii)[is_retained]
     return low.min(axis=0), high.max(axis=0)
 
 
@@ -77,42 +77,42 @@ def _is_floater(
     centers: Float64[np.ndarray, "n 3"], sigmas: Float64[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Return which Gaussians lie apart from the others, in groups of less than 2 %."""
-    none = np.zeros(len(centers), bool)
+    no_floaters = np.zeros(len(centers), bool)
     if len(centers) * _MIN_GROUP_SHARE <= 1:
-        return none  # each Gaussian is a group that is large enough
+        return no_floaters  # each Gaussian is a group that is large enough
     step = -(-len(centers) // _MAX_GROUPED_GAUSSIANS)
     low, high = np.percentile(centers[::step], _SPREAD_QUANTILES, axis=0)
     spread = float((high - low + 2 * np.median(sigmas[::step], axis=0)).max())
-    side = spread * max(_MIN_CUBE_SIDE, _CUBE_SIDE_SPACINGS * len(none[::step]) ** (-1 / 3))
+    side = spread * max(_MIN_CUBE_SIDE, _CUBE_SIDE_SPACINGS * len(no_floaters[::step]) ** (-1 / 3))
     if not 0 < side < np.inf:
-        return none
+        return no_floaters
     # 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.
-    cubes = np.floor((centers - low) / side)
-    has_cube = (np.abs(cubes) < _GRID_SIZE).all(axis=1) & (sigmas <= spread).all(axis=1)
+    cube_coordinates = np.floor((centers - low) / side)
+    has_cube = (np.abs(cube_coordinates) < _GRID_SIZE).all(axis=1) & (sigmas <= spread).all(axis=1)
     if not has_cube.any():
-        return none
-    keys = _keys(cubes[has_cube])
+        return no_floaters
+    keys = _keys(cube_coordinates[has_cube])
     # 2. Of a sample, the cubes that each Gaussian reaches.
-    reached = _reached_keys(centers[has_cube][::step], sigmas[has_cube][::step], low, side)
+    reached_keys = _reached_keys(centers[has_cube][::step], sigmas[has_cube][::step], low, side)
     sample = keys[::step]
-    occupied = np.unique(np.concatenate([sample, *reached]))
+    occupied_keys = np.unique(np.concatenate([sample, *reached_keys]))
     # 3. Groups of cubes that touch, and the number of Gaussians in each.
-    groups = _groups(occupied)
-    counts = np.bincount(groups[np.searchsorted(occupied, sample)], minlength=groups.max() + 1)
-    retained = occupied[(counts >= _MIN_GROUP_SHARE * len(none[::step]))[groups]]
+    groups = _groups(occupied_keys)
+    counts = np.bincount(groups[np.searchsorted(occupied_keys, sample)], minlength=groups.max() + 1)
+    retained_keys = occupied_keys[(counts >= _MIN_GROUP_SHARE * len(no_floaters[::step]))[groups]]
     if step > 1:  # the sample may miss cubes at the object's edge
-        retained = np.unique((retained[:, None] + _NEIGHBOURS).ravel())
-    if not len(retained):
-        return none
+        retained_keys = np.unique((retained_keys[:, None] + _NEIGHBOURS).ravel())
+    if not len(retained_keys):
+        return no_floaters
     result = ~has_cube
-    offsets = np.minimum(np.searchsorted(retained, keys), len(retained) - 1)
-    result[has_cube] = retained[offsets] != keys
+    offsets = np.minimum(np.searchsorted(retained_keys, keys), len(retained_keys) - 1)
+    result[has_cube] = retained_keys[offsets] != keys
     return np.asarray(result)
 
 
-def _keys(cubes: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+def _keys(cube_coordinates: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """Return one integer per cube, of 21 bits for each axis; neighbours differ by a constant."""
-    x, y, z = (cubes.astype(np.int64) + _GRID_SIZE + 2 * _MAX_CUBES_PER_GAUSSIAN).T
+    x, y, z = (cube_coordinates.astype(np.int64) + _GRID_SIZE + 2 * _MAX_CUBES_PER_GAUSSIAN).T
     return np.asarray((x << 42) + (y << 21) + z)
 
 
@@ -126,15 +126,15 @@ def _reached_keys(
     keys = []
     for axis, step in itertools.product(range(3), range(1, _MAX_CUBES_PER_GAUSSIAN + 1)):
         reach = _LINK_SIGMAS * sigmas[:, axis]
-        large = reach > (step - 1) * side
+        is_large = reach > (step - 1) * side
         if step == 1:
-            large = reach > side / 2
-        if not large.any():
+            is_large = reach > side / 2
+        if not is_large.any():
             continue
-        offsets = np.zeros((int(large.sum()), 3))
-        offsets[:, axis] = np.minimum(step * side, reach[large])
+        offsets = np.zeros((int(is_large.sum()), 3))
+        offsets[:, axis] = np.minimum(step * side, reach[is_large])
         keys += [
-            _keys(np.floor((centers[large] + sign * offsets - low) / side)) for sign in (-1, 1)
+            _keys(np.floor((centers[is_large] + sign * offsets - low) / side)) for sign in (-1, 1)
         ]
     return keys
 
@@ -147,9 +147,9 @@ def _groups(keys: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
     first_indices, second_indices = [], []
     for step in _NEIGHBOURS[_NEIGHBOURS > 0]:  # the other neighbours find this cube
         offsets = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
-        touching = np.flatnonzero(keys[offsets] == keys + step)
-        first_indices.append(touching)
-        second_indices.append(offsets[touching])
+        neighbour_pairs = np.flatnonzero(keys[offsets] == keys + step)
+        first_indices.append(neighbour_pairs)
+        second_indices.append(offsets[neighbour_pairs])
     rows, columns = np.concatenate(first_indices), np.concatenate(second_indices)
     links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(keys),) * 2)
     return np.asarray(connected_components(links, directed=False)[1], np.int64)

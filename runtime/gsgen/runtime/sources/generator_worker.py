@@ -231,8 +231,8 @@ class _OutputBuffer:
             and (is_constant or _are_bits_equal(old_array[:live_count], array[:live_count]))
         ):
             return None
-        is_free = len(self._older_row_copies) > retained
-        new_array = self._older_row_copies.popleft() if is_free else np.zeros_like(array)
+        has_free_copy = len(self._older_row_copies) > retained
+        new_array = self._older_row_copies.popleft() if has_free_copy else np.zeros_like(array)
         new_array[:live_count] = array[:live_count]
         if old_array is not None:
             self._older_row_copies.append(old_array)
@@ -243,10 +243,10 @@ class _OutputBuffer:
 def _are_bits_equal(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
     """Return whether two arrays have the same bits, stopping at the first difference."""
     bits = np.dtype(f"u{a.itemsize}")
-    a_bits, b_bits = (np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b))
+    left_bits, right_bits = (np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b))
     return all(
         np.array_equal(
-            a_bits[start : start + _BLOCK_ELEMENTS], b_bits[start : start + _BLOCK_ELEMENTS]
+            left_bits[start : start + _BLOCK_ELEMENTS], right_bits[start : start + _BLOCK_ELEMENTS]
         )
-        for start in range(0, len(a_bits), _BLOCK_ELEMENTS)
+        for start in range(0, len(left_bits), _BLOCK_ELEMENTS)
     )

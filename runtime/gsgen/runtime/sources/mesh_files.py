@@ -425,15 +425,15 @@ def _buffer_size(path: Path, buffer: _GltfObject) -> int:
 def _require_no_cycle(nodes: list[_GltfObject]) -> None:
     """Raise if a glTF node is its own ancestor; each node has at most one parent."""
     children = [node.get("children", []) for node in nodes]
-    unreached = set(range(len(nodes)))
-    pending = list(unreached.difference(*children))  # the roots
+    unreached_nodes = set(range(len(nodes)))
+    pending = list(unreached_nodes.difference(*children))  # the roots
     while pending:
         node_index = pending.pop()
-        unreached.discard(node_index)
+        unreached_nodes.discard(node_index)
         pending += children[node_index]
-    if unreached:
+    if unreached_nodes:
         raise SceneInvalid(
-            "the node is its own ancestor, expected a tree", where=f"nodes[{min(unreached)}]"
+            "the node is its own ancestor, expected a tree", where=f"nodes[{min(unreached_nodes)}]"
         )
 
 

@@ -215,7 +215,13 @@ def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
     view[:3, :3] = camera.view[:3, :3] @ rotation
     view[:3, 3] = -view[:3, :3] @ np.linalg.solve(linear, camera.eye - offset)
     scale = _uniform_scale(linear)
-    zoom = scale if camera.kind == "orthographic" else 1.0  # its focal length is pixels per unit
+    zoom_factor = (
+        scale if camera.kind == "orthographic" else 1.0
+    )  # its focal length is pixels per unit
     return replace(
-        camera, view=view, near=camera.near / scale, fx=camera.fx * zoom, fy=camera.fy * zoom
+        camera,
+        view=view,
+        near=camera.near / scale,
+        fx=camera.fx * zoom_factor,
+        fy=camera.fy * zoom_factor,
     )

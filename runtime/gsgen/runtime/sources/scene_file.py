@@ -160,16 +160,16 @@ def open_scene(
         GsgenError: A model cannot be opened; the message names its location in the scene file.
     """
     scene_file = scene if isinstance(scene, SceneFile) else read_scene(scene)
-    with ExitStack() as stack:
+    with ExitStack() as exit_stack:
         sources: list[Source] = []
         for model in scene_file.models:
             open_file = partial(
                 open_source, model.path, provider, (sizes or {}).get(model.path), stream, confined
             )
             sources.append(_open_model(model, open_file))
-            stack.callback(sources[-1].close)
+            exit_stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
-        stack.pop_all()  # from here on the caller closes the sources
+        exit_stack.pop_all()  # from here on the caller closes the sources
     return sources
 
 

@@ -29,16 +29,16 @@ def sequence_files(path: Path) -> list[Path]:
     ``frames/%04d.ply``.
     """
     if path.is_dir():
-        numbered = [file for file in path.iterdir() if _is_frame(file)]
-        suffixes = {file.suffix.lower() for file in numbered}
-        files = numbered if len(suffixes) == 1 and len(numbered) > 1 else []
+        numbered_files = [file for file in path.iterdir() if _is_frame(file)]
+        suffixes = {file.suffix.lower() for file in numbered_files}
+        files = numbered_files if len(suffixes) == 1 and len(numbered_files) > 1 else []
         return sorted(files, key=lambda file: natural_key(file.name))
     match = _PRINTF_NUMBER_PATTERN.search(path.name)
     if match is None or path.exists() or not path.parent.is_dir():
         return []
-    before, after = path.name[: match.start()], path.name[match.end() :]
+    name_prefix, name_suffix = path.name[: match.start()], path.name[match.end() :]
     digits = r"\d+" if not match[1].isdecimal() else rf"\d{{{int(match[1])},}}"
-    name_pattern = re.compile(re.escape(before) + digits + re.escape(after))
+    name_pattern = re.compile(re.escape(name_prefix) + digits + re.escape(name_suffix))
     files = [file for file in path.parent.iterdir() if name_pattern.fullmatch(file.name)]
     if not files:
         raise SceneUnreadable("matches no file, expected numbered splat files", where=str(path))
@@ -71,14 +71,14 @@ class SequenceSource(Source):
         self.inputs = (
             Input(name=_FRAME_INPUT, role="frame_index", shape=(1,), range=(0, len(files) - 1)),
         )
-        first, largest, channels = StillFrameSource(files[0]), 0, 0
+        first, largest_count, channels = StillFrameSource(files[0]), 0, 0
         self.antialias, self.color_space = first.antialias, first.color_space
         for file in files:
             frame = StillFrameSource(file)
             self._require_equal_kind(file, frame, first)
-            largest = max(largest, frame.data.count)
+            largest_count = max(largest_count, frame.data.count)
             channels = max(channels, frame.data.appearance.shape[1])
-        self._shape, self._number, self._loaded_number = (largest, channels), 0, 0
+        self._shape, self._number, self._loaded_number = (largest_count, channels), 0, 0
         rows, appearance = self._pad_rows(first.data)
         self.data = SplatData(rows, appearance, first.data.space, count=first.data.count)
 

@@ -265,7 +265,7 @@ class StillFrameSource(StaticSource):
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         try:
-            with warnings.catch_warnings(record=True) as caught:
+            with warnings.catch_warnings(record=True) as caught_warnings:
                 warnings.simplefilter("always", FormatWarning)
                 content = open_splats(path, drop_invalid=True)
         except FormatError as error:
@@ -277,7 +277,7 @@ class StillFrameSource(StaticSource):
             self.up = content.up
             if any(content.origin):
                 self.space = Space(origin=content.origin)
-        for warning in caught:
+        for warning in caught_warnings:
             if issubclass(warning.category, MeshWarning):
                 self.meshes = read_mesh(path)  # drawn among the splats
             else:

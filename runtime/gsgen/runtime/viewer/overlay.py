@@ -133,14 +133,15 @@ class Overlay:
         builders: dict[object, Callable[[], Panel]] = {}
         rows = self.statistics.rows
         if self.shows_statistics and rows and not self.shows_help:
-            edge = round(_EDGE_MARGIN * ratio)
+            margin_pixels = round(_EDGE_MARGIN * ratio)
             builders["statistics", rows, ratio] = lambda: Panel(
-                paragraph(rows, ratio), (edge, edge)
+                paragraph(rows, ratio), (margin_pixels, margin_pixels)
             )
         if slider is not None:
-            bar, state = slider
-            builders["slider", bar, state] = lambda: Panel(
-                bar.picture(state.fraction, state.label, playing=state.playing), bar.corner
+            slider_bar, state = slider
+            builders["slider", slider_bar, state] = lambda: Panel(
+                slider_bar.picture(state.fraction, state.label, playing=state.playing),
+                slider_bar.corner,
             )
         if message:
             lines = tuple((line, "") for line in _wrap_text(message, size[0] / ratio))

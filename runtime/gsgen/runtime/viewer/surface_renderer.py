@@ -97,8 +97,8 @@ class SurfaceRenderer:
     ) -> None:
         if self._present_pass is None or self._configured_context is not context:
             # The shader encodes sRGB itself, so that panels are blended in sRGB.
-            preferred = context.get_preferred_format(device.raw.adapter)
-            surface_format = preferred.removesuffix("-srgb")
+            preferred_format = context.get_preferred_format(device.raw.adapter)
+            surface_format = preferred_format.removesuffix("-srgb")
             if context.get_configuration() is not None:
                 context.unconfigure()  # its texture belongs to a lost device
             context.configure(device=device.raw, format=surface_format)

@@ -127,11 +127,13 @@ class Viewer:
     def _draw(self, context: "WgpuContext") -> bool:
         # Step 1: let time pass, for the flight of the camera and for the playback.
         now = self._clock()
-        elapsed, self._last_draw_time = min(now - self._last_draw_time, _MAX_STEP), now
+        elapsed_seconds, self._last_draw_time = min(now - self._last_draw_time, _MAX_STEP), now
         width, height = context.physical_size
         self._size = (max(1, width), max(1, height))
-        is_flying = self.controls.fly(self._pressed_keys, elapsed, is_fast=self._is_shift_held)
-        self.playback.advance(elapsed)
+        is_flying = self.controls.fly(
+            self._pressed_keys, elapsed_seconds, is_fast=self._is_shift_held
+        )
+        self.playback.advance(elapsed_seconds)
         # Step 2: take the frame that was computed, and begin the current one. A file, or a quick
         # model, is ready at once.
         self._show_errors(self.playback.take)

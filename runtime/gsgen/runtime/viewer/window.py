@@ -51,13 +51,13 @@ def attach(
             canvas.close()
             return
         try:
-            needs_another = viewer.draw(context)
+            needs_another_frame = viewer.draw(context)
         except Exception as error:  # else rendercanvas logs it, and goes on drawing
             errors.append(error)
             canvas.request_draw()
             raise
         after_draw()
-        if needs_another or viewer.closed:
+        if needs_another_frame or viewer.closed:
             canvas.request_draw()
 
     def handle(event: Event) -> None:

@@ -57,8 +57,8 @@ class LocalServer(ThreadingHTTPServer):
         self, host: str, port: int, handler: "type[LocalHandler]", *, cors: Collection[str] = ()
     ) -> None:
         self.cors = frozenset(cors)
-        own_name = socket.gethostname().lower()
-        self._names = {"localhost", host.lower(), own_name, f"{own_name}.local"}
+        host_name = socket.gethostname().lower()
+        self._names = {"localhost", host.lower(), host_name, f"{host_name}.local"}
         self._lock = Lock()
         self._waiting_sockets: dict[socket.socket, None] = {}  # for a request; the longest first
         self._answering_sockets: set[socket.socket] = set()

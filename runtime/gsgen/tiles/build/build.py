@@ -148,8 +148,8 @@ def build_tileset(
     _require_output(output)
     files = open_scenes([path.resolve() for path in scenes])
     if parameters.turn_upright:
-        turned = turned_transform(parameters.transform, files[0].up)
-        parameters = replace(parameters, transform=turned, turn_upright=False)
+        transform = turned_transform(parameters.transform, files[0].up)
+        parameters = replace(parameters, transform=transform, turn_upright=False)
     if any(files[0].origin):
         moved = moved_transform(parameters.transform, files[0].origin)
         parameters = replace(parameters, transform=moved)
@@ -307,10 +307,10 @@ def _report_skipped_splats(
 
 
 def _report_large_splats(facts: Sequence[ChunkFacts], progress: Progress) -> None:
-    largest = max(chunk_facts.largest_scale for chunk_facts in facts)
-    if largest > _SPZ_LOG_SCALE:
+    largest_scale = max(chunk_facts.largest_scale for chunk_facts in facts)
+    if largest_scale > _SPZ_LOG_SCALE:
         progress.note(
-            f"the largest splat has a standard deviation of {math.exp(largest):.6g} units, and "
+            f"the largest splat has a standard deviation of {math.exp(largest_scale):.6g} units, and "
             f"SPZ stores {math.exp(_SPZ_LOG_SCALE):.0f} at most; --codec khr stores all"
         )
 

@@ -42,8 +42,12 @@ def turned_transform(
     if cosine < -1 + 1e-9:  # upside down: half a turn about x
         turn = np.diag([1.0, -1.0, -1.0, 1.0])
     elif np.any(axis):
-        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-        turn[:3, :3] += cross + cross @ cross / (1 + cosine)  # Rodrigues' formula
+        cross_matrix = np.array(
+            [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]]
+        )
+        turn[:3, :3] += cross_matrix + cross_matrix @ cross_matrix / (
+            1 + cosine
+        )  # Rodrigues' formula
     return _columns(np.array(transform).reshape(4, 4).T @ turn)
 
 

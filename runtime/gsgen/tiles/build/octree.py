@@ -60,13 +60,17 @@ def _build_cell(
         return _write_leaf_tile(plan, rows, codes, location)
     parts: list[BuiltTiles] = []
     # 1. Large splats stay at this cell, in extra leaves beside the children.
-    large = anchors == depth
-    extra = _write_large_splats(plan, rows[large], codes[large], location) if large.any() else None
+    large_rows = anchors == depth
+    extra = (
+        _write_large_splats(plan, rows[large_rows], codes[large_rows], location)
+        if large_rows.any()
+        else None
+    )
     if extra is not None:
-        rows, codes, anchors = rows[~large], codes[~large], anchors[~large]
+        rows, codes, anchors = rows[~large_rows], codes[~large_rows], anchors[~large_rows]
     # 2. The others go to the octants; small neighbours become one leaf.
-    octants = cell_codes(codes, min(depth + 1, DEPTH))
-    names, counts = np.unique(octants, return_counts=True)
+    octant_codes = cell_codes(codes, min(depth + 1, DEPTH))
+    names, counts = np.unique(octant_codes, return_counts=True)
     limits = np.concatenate([[0], np.cumsum(counts)])
     for group in group_small_octants(counts.tolist(), 0 if implicit else leaf):
         group_rows = slice(limits[group[0]], limits[group[-1] + 1])

@@ -93,7 +93,8 @@ def coordinates_of(location: int) -> tuple[int, int, int]:
     """Return the x, y and z index of an octree cell in the grid of all cells of its depth."""
     depth = depth_of(location)
     x, y, z = (
-        sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth)) for axis in range(3)
+        sum((location >> (3 * bit_index + axis) & 1) << bit_index for bit_index in range(depth))
+        for axis in range(3)
     )
     return x, y, z
 

@@ -78,8 +78,8 @@ class JsonProgress(Progress):
 
     def _line(self) -> None:
         self._last_write_time = time.monotonic()
-        elapsed = self._last_write_time - self._start_time
-        rate = self._splats_done / elapsed if elapsed > 0 else 0.0
+        elapsed_seconds = self._last_write_time - self._start_time
+        rate = self._splats_done / elapsed_seconds if elapsed_seconds > 0 else 0.0
         event: JsonDict = {
             "event": "progress",
             "phase": self._phase_name,

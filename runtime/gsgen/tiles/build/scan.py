@@ -52,21 +52,21 @@ class ChunkFacts:
 def scan_chunk(chunk: Chunk) -> ChunkFacts:
     """Read a chunk of a scene file; return its bounding box, splat counts and SHA-256 digests."""
     splats = read_chunk(chunk)
-    valid = valid_rows(splats)
-    count = int(np.count_nonzero(valid))
+    valid_mask = valid_rows(splats)
+    count = int(np.count_nonzero(valid_mask))
     low = high = np.zeros(3)
     largest_scale = 0.0
     if count:
-        largest_scale = max(float(column[valid].max()) for column in splats.log_scale.T)
-        position = splats.position[valid]
+        largest_scale = max(float(column[valid_mask].max()) for column in splats.log_scale.T)
+        position = splats.position[valid_mask]
         columns = np.ascontiguousarray(position.T)
         low, high = columns.min(axis=1), columns.max(axis=1)
-    skipped = len(valid) - count
+    skipped = len(valid_mask) - count
     return ChunkFacts(
         index=chunk.index,
         count=count,
         skipped=skipped,
-        first_skipped=chunk.first + int(np.argmin(valid)) if skipped else -1,
+        first_skipped=chunk.first + int(np.argmin(valid_mask)) if skipped else -1,
         low=(float(low[0]), float(low[1]), float(low[2])),
         high=(float(high[0]), float(high[1]), float(high[2])),
         largest_scale=max(largest_scale, _SMALLEST_LOG_SCALE),
@@ -128,10 +128,10 @@ def count_cells(
         Location codes, increasing, and the count of each.
     """
     splats = read_chunk(chunk)
-    valid = valid_rows(splats)
-    codes = morton_codes(splats.position[valid], cube)
+    valid_mask = valid_rows(splats)
+    codes = morton_codes(splats.position[valid_mask], cube)
     anchors = (
-        anchor_depths(splats.log_scale[valid], cube)
+        anchor_depths(splats.log_scale[valid_mask], cube)
         if is_anchored
         else np.full(len(codes), DEPTH, np.int64)
     )

@@ -30,13 +30,13 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
     if rows_path.exists():
         return spilled_count(plan, chunk)
     splats = read_chunk(chunk)
-    valid = valid_rows(splats)
-    rows = np.zeros(int(np.count_nonzero(valid)), row_dtype(plan.degree))
-    rows["source"] = np.uint64(chunk.source) + np.flatnonzero(valid).astype(np.uint64)
+    valid_mask = valid_rows(splats)
+    rows = np.zeros(int(np.count_nonzero(valid_mask)), row_dtype(plan.degree))
+    rows["source"] = np.uint64(chunk.source) + np.flatnonzero(valid_mask).astype(np.uint64)
     for name in ("position", "rotation", "log_scale", "logit_opacity"):
-        rows[name] = getattr(splats, name)[valid]
+        rows[name] = getattr(splats, name)[valid_mask]
     shared_coefficients = min(splats.sh.shape[1], SH_COUNTS[plan.degree])
-    rows["sh"][:, :shared_coefficients] = splats.sh[valid, :shared_coefficients]
+    rows["sh"][:, :shared_coefficients] = splats.sh[valid_mask, :shared_coefficients]
     codes = morton_codes(rows["position"], plan.cube)
     partitions = partition_of(codes, anchors_of(plan, rows), plan.partitions)
     order = np.argsort(partitions, kind="stable")

@@ -79,14 +79,14 @@ class PlanTask:
 
 def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
     """Scan a scene chunk; return its size in rows, bounding box, splat counts and digests."""
-    marker = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
-    if marker.exists():
-        content = read_json(marker)
+    marker_path = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
+    if marker_path.exists():
+        content = read_json(marker_path)
         content |= {name: tuple(content[name]) for name in ("low", "high", "digests")}
         facts = ChunkFacts(**content)
     else:
         facts = scan_chunk(task.chunk)
-        write_json(marker, asdict(facts))
+        write_json(marker_path, asdict(facts))
     return task.chunk.count, facts
 
 
@@ -95,9 +95,9 @@ def run_count(
 ) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
     """Count a scene chunk's splats per octree cell; return total, cells and their counts."""
     folder = Path(task.work) / "cells"
-    marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
-    if marker.exists():
-        table = np.load(marker)
+    marker_path = folder / f"{task.chunk.index:06}-{task.depth}.npy"
+    if marker_path.exists():
+        table = np.load(marker_path)
     else:
         cells, counts = count_cells(
             task.chunk,
@@ -108,7 +108,7 @@ def run_count(
             is_anchored=task.is_anchored,
         )
         table = np.stack([cells, counts.astype(np.uint64)])
-        save_array(marker, table)
+        save_array(marker_path, table)
     return task.chunk.count, (table[0], table[1].astype(np.int64))
 
 

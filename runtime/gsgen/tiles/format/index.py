@@ -163,11 +163,11 @@ def tileset_document(
     transform: Float64[np.ndarray, "4 4"] | None = None,
 ) -> JsonDict:
     """Return the ``tileset.json`` of a tree of tiles as a JSON object."""
-    written = _tile(root, quality)
-    tree = written.document
+    root_record = _tile(root, quality)
+    tree = root_record.document
     if transform is not None:
         tree["transform"] = [float(value) for value in transform.T.ravel()]
-    diagonal = float(np.linalg.norm(written.high - written.low))
+    diagonal_length = float(np.linalg.norm(root_record.high - root_record.low))
     needed = [EXTENSION_NAME, SPZ_EXTENSION] if codec == "spz" else [EXTENSION_NAME]
     neural = [NEURAL] if _has_neural(root) else []
     return {
@@ -175,7 +175,7 @@ def tileset_document(
         "extensions": {CONTENT_EXTENSION: {"extensionsRequired": needed, "extensionsUsed": needed}},
         "extensionsRequired": [CONTENT_EXTENSION],
         "extensionsUsed": [CONTENT_EXTENSION, *neural],
-        "geometricError": max(diagonal, root.geometric_error),
+        "geometricError": max(diagonal_length, root.geometric_error),
         "metadata": {
             "class": TILESET_CLASS,
             "properties": {

@@ -46,7 +46,7 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
 
 def _join_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
     """Join the buffers of a .gltf file into one, and adapt the buffer views."""
-    starts, joined = [], bytearray()
+    buffer_starts, joined_buffer = [], bytearray()
     buffers = list(document.objects("buffers"))
     sizes = [buffer.whole("byteLength") for buffer in buffers]
     if sum(sizes) > MAX_CONTENT_BYTES:
@@ -65,22 +65,22 @@ def _join_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
                 expected=f"{size}",
                 fault=Fault.CONTENT,
             )
-        starts.append(len(joined))
-        joined += content[:size]
+        buffer_starts.append(len(joined_buffer))
+        joined_buffer += content[:size]
     views: list[JsonDict] = []
     for view in document.objects("bufferViews"):
         index = view.whole("buffer")
-        if index >= len(starts):
-            view.refuse("buffer", f"less than the {len(starts)} buffers")
+        if index >= len(buffer_starts):
+            view.refuse("buffer", f"less than the {len(buffer_starts)} buffers")
         offset = view.whole("byteOffset") if "byteOffset" in view else 0
         end = offset + view.whole("byteLength")
-        following_starts = [*starts[index + 1 :], len(joined)][0]
-        if starts[index] + end > following_starts:
+        next_start = [*buffer_starts[index + 1 :], len(joined_buffer)][0]
+        if buffer_starts[index] + end > next_start:
             view.refuse("byteLength", "less than the buffer is long")
-        views.append({**view.values, "buffer": 0, "byteOffset": starts[index] + offset})
+        views.append({**view.values, "buffer": 0, "byteOffset": buffer_starts[index] + offset})
     values = {**document.values, "bufferViews": views}
-    values["buffers"] = [{"byteLength": len(joined)}]
-    return Container(document=values, data=bytes(joined), start=0, size=len(joined))
+    values["buffers"] = [{"byteLength": len(joined_buffer)}]
+    return Container(document=values, data=bytes(joined_buffer), start=0, size=len(joined_buffer))
 
 
 def _read_buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:

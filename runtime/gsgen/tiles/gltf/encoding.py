@@ -167,7 +167,7 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     }
-    starts = [sum(sizes[:index]) for index in range(len(sizes))]
+    view_starts = [sum(sizes[:index]) for index in range(len(sizes))]
     primitive = {
         "mode": 0,
         "attributes": {name: index for index, name in enumerate(accessors)},
@@ -181,7 +181,7 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
         "buffers": [{"byteLength": sum(sizes)}],
         "bufferViews": [
             {"buffer": 0, "byteOffset": start, "byteLength": size}
-            for start, size in zip(starts, sizes, strict=True)
+            for start, size in zip(view_starts, sizes, strict=True)
         ],
         "accessors": list(accessors.values()),
     }

@@ -87,13 +87,15 @@ def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | N
     for quality in range(len(SSIM)):
         path = str(PurePosixPath(index).with_name(f"tileset-q{quality}.json"))
         try:
-            sibling = load_tileset(store, path)
+            sibling_tileset = load_tileset(store, path)
         except ContentMissing:
             continue
         except TilesetInvalid:
             return None
-        ladder[quality] = tuple(sibling.tiles())
-    have_same_tree = all(_is_same_tree(tiles, sibling) for sibling in ladder.values())
+        ladder[quality] = tuple(sibling_tileset.tiles())
+    have_same_tree = all(
+        _is_same_tree(tiles, sibling_tileset) for sibling_tileset in ladder.values()
+    )
     if len(ladder) != count or not have_same_tree:
         return None
     finest_quality = tileset.metadata.get("quality", 0)
@@ -112,10 +114,10 @@ def _sizes(tile: Tile) -> list[int]:
     return [int(size) for size in sizes] if isinstance(sizes, list) and tile.contents else []
 
 
-def _is_same_tree(tiles: tuple[Tile, ...], others: tuple[Tile, ...]) -> bool:
-    return len(tiles) == len(others) and all(
-        tile.level == other.level
-        and len(tile.contents) == len(other.contents) <= 1
-        and tile.metadata.get("bytes") == other.metadata.get("bytes")
-        for tile, other in zip(tiles, others, strict=True)
+def _is_same_tree(tiles: tuple[Tile, ...], other_tiles: tuple[Tile, ...]) -> bool:
+    return len(tiles) == len(other_tiles) and all(
+        tile.level == other_tile.level
+        and len(tile.contents) == len(other_tile.contents) <= 1
+        and tile.metadata.get("bytes") == other_tile.metadata.get("bytes")
+        for tile, other_tile in zip(tiles, other_tiles, strict=True)
     )

@@ -166,8 +166,8 @@ class _Loader:
         if "implicitTiling" in entry:
             return self._implicit(entry, tile, document)
         below = _Parent(transform, refine, parent.level + 1)
-        contents, external = self._contents(entry, document, below)
-        children = [*external]
+        contents, external_tiles = self._contents(entry, document, below)
+        children = [*external_tiles]
         for child in self._child_entries(entry):
             self._read_or_report(partial(self._append_tile, children, child, document, below))
         return replace(tile, contents=contents, children=tuple(children))
@@ -258,13 +258,13 @@ class _Loader:
                 )
             )
         contents: list[Content] = []
-        external: list[Tile] = []
+        external_tiles: list[Tile] = []
         entries = [entry.child("content")] if "content" in entry else []
         entries += entry.objects("contents")
         for content in entries:
-            read = partial(self._content, content, document, below, contents, external)
+            read = partial(self._content, content, document, below, contents, external_tiles)
             self._read_or_report(read)
-        return tuple(contents), external
+        return tuple(contents), external_tiles
 
     def _content(
         self,
@@ -272,12 +272,12 @@ class _Loader:
         document: Document,
         below: _Parent,
         contents: list[Content],
-        external: list[Tile],
+        external_tiles: list[Tile],
     ) -> None:
         key = "url" if "uri" not in entry and "url" in entry else "uri"  # url: of 1.0
         uri = resolve_uri(document.path, entry.text(key), entry.at(key))
         if is_external(uri):
-            external.append(self._load_external(uri, entry.at(key), document, below))
+            external_tiles.append(self._load_external(uri, entry.at(key), document, below))
             return
         bounds = entry.optional("boundingVolume")
         volume = read_volume(bounds) if bounds else None

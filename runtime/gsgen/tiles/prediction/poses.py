@@ -35,7 +35,7 @@ class Pose:
 def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
     """Return the unit quaternion of a rotation matrix (Bar-Itzhack 2000)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation
-    symmetric = np.array(
+    symmetric_matrix = np.array(
         [
             [a + e + i, h - f, c - g, d - b],
             [h - f, a - e - i, b + d, c + g],
@@ -43,7 +43,7 @@ def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
             [d - b, c + g, f + h, i - a - e],
         ]
     )
-    quaternion = np.linalg.eigh(symmetric)[1][:, -1]
+    quaternion = np.linalg.eigh(symmetric_matrix)[1][:, -1]
     return np.asarray(quaternion if quaternion[0] >= 0 else -quaternion)
 
 
@@ -75,8 +75,8 @@ def interpolate(poses: Sequence[Pose], time: float) -> Pose:
         return Pose(time, poses[0].position, poses[0].quaternion)
     if time >= poses[-1].time:
         return Pose(time, poses[-1].position, poses[-1].quaternion)
-    after = next(index for index, pose in enumerate(poses) if pose.time >= time)
-    low, high = poses[after - 1], poses[after]
+    next_index = next(index for index, pose in enumerate(poses) if pose.time >= time)
+    low, high = poses[next_index - 1], poses[next_index]
     share = (time - low.time) / (high.time - low.time)
     inverse = low.quaternion * [1, -1, -1, -1]
     turn = rotation_vector(quaternion_product(high.quaternion, inverse))

@@ -133,12 +133,12 @@ class PathPrefetch:
         max_error: float,
     ) -> None:
         self._times: list[list[float]] = [[] for _ in tree.tiles]
-        needed_before = np.zeros(len(tree), bool)
+        was_needed = np.zeros(len(tree), bool)
         for pose in path:
             cut = cut_tree(tree, frustum_at(pose.position, pose.quaternion), max_error)
-            for tile in np.flatnonzero(cut.selected & ~needed_before).tolist():
+            for tile in np.flatnonzero(cut.selected & ~was_needed).tolist():
                 self._times[tile].append(pose.time)
-            needed_before = cut.selected
+            was_needed = cut.selected
         self._time = -np.inf
 
     def observe(self, pose: Pose) -> None:

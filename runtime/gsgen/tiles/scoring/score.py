@@ -271,7 +271,7 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
         len(CAMERA_DISTANCES) * (height + _CAPTION_HEIGHT + _PICTURE_GAP) - _PICTURE_GAP,
     )
     contact_sheet: Any = Image.new("RGB", size, (40, 40, 40))
-    drawing = ImageDraw.Draw(contact_sheet)
+    draw_context = ImageDraw.Draw(contact_sheet)
     for column, name in enumerate(columns):
         for row, distance in enumerate(CAMERA_DISTANCES):
             x, y = column * (width + _PICTURE_GAP), row * (height + _CAPTION_HEIGHT + _PICTURE_GAP)
@@ -284,5 +284,5 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
                     f"{name}: {entry.splats:,}, {entry.bytes / MEBIBYTE:.2f} MiB, "
                     f"SSIM {entry.ssim[distance]:.4f}"
                 )
-            drawing.text((x + 4, y + 3), text, fill=(240, 240, 240))
+            draw_context.text((x + 4, y + 3), text, fill=(240, 240, 240))
     return np.asarray(contact_sheet)

@@ -145,8 +145,10 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
         return 0, 0
     quality, sizes = tileset.metadata.get("quality", 0), tile.metadata.get("bytes")
     size = 0
-    is_listed = isinstance(sizes, list) and all(map(_is_count, sizes)) and isinstance(quality, int)
-    if sizes and is_listed and len(tile.contents) == 1:
+    has_listed_sizes = (
+        isinstance(sizes, list) and all(map(_is_count, sizes)) and isinstance(quality, int)
+    )
+    if sizes and has_listed_sizes and len(tile.contents) == 1:
         size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
     elif store is not None:
         sizes = [store.size(content.uri) for content in tile.contents]
@@ -208,8 +210,8 @@ def _region_box(region: Region) -> Box:
     low, high = along.min(axis=0), along.max(axis=0)
     # Between samples the globe bulges by less than r·(angle/step)²/8.
     curvature_sag = _GLOBE_RADIUS * (max(region.width, height) / (2 * _GRID_POINTS)) ** 2 / 8
-    half = (high - low) / 2 + curvature_sag
-    return Box((low + high) / 2 @ axes, axes * half[:, None])
+    half_size = (high - low) / 2 + curvature_sag
+    return Box((low + high) / 2 @ axes, axes * half_size[:, None])
 
 
 def _region_cell(region: Region, x: int, y: int) -> Region:

@@ -138,12 +138,12 @@ class _Handler(LocalHandler):
                 headers=[("Content-Range", f"bytes */{status.st_size}")],
             )
             return
-        is_partial = span.size < status.st_size
+        is_partial_response = span.size < status.st_size
         headers = [("Content-Length", str(span.size))]
-        if is_partial:
+        if is_partial_response:
             last = span.start + span.size - 1
             headers.append(("Content-Range", f"bytes {span.start}-{last}/{status.st_size}"))
-        code = HTTPStatus.PARTIAL_CONTENT if is_partial else HTTPStatus.OK
+        code = HTTPStatus.PARTIAL_CONTENT if is_partial_response else HTTPStatus.OK
         self._head(code, file, etag, headers)
         if with_body:
             self._send_body(stream, span, cut=cut)
@@ -184,12 +184,12 @@ class _Handler(LocalHandler):
         self.send_response(status)
         kind = _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
         is_immutable = _NAMED_BY_DIGEST.search(file.name) is not None
-        caching = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
+        cache_control = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [
             ("Content-Type", kind),
             ("ETag", etag),
             ("Accept-Ranges", "bytes"),
-            ("Cache-Control", caching),
+            ("Cache-Control", cache_control),
             *headers,
         ]:
             self.send_header(name, value)

@@ -135,8 +135,8 @@ class SimulatedLink:
                 return None
             # 2. Find the next moment at which a rate changes, or a transfer begins or ends.
             share = self._rate_trace.rate(now) / max(len(active_transfers), 1)
-            waiting = [entry.start for entry in self._transfers if entry.start > now]
-            moment = min([end_time, self._rate_trace.next_change(now), *waiting])
+            waiting_starts = [entry.start for entry in self._transfers if entry.start > now]
+            moment = min([end_time, self._rate_trace.next_change(now), *waiting_starts])
             if active_transfers and share > 0:
                 least = min(entry.remaining for entry in active_transfers)
                 moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))

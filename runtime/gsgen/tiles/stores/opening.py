@@ -63,7 +63,7 @@ def _refuse_other_kind(path: Path, *, allow_content: bool) -> None:
 def address_of(source: str | Path) -> str:
     """Return a URL with ``://``, which ``Path`` shortened to ``:/``; empty for a local path."""
     text = str(source)
-    for scheme in ("http", "https"):
-        if text.lower().startswith(f"{scheme}:/"):
-            return f"{scheme}://{text[len(scheme) + 1 :].lstrip('/')}"
+    for url_scheme in ("http", "https"):
+        if text.lower().startswith(f"{url_scheme}:/"):
+            return f"{url_scheme}://{text[len(url_scheme) + 1 :].lstrip('/')}"
     return ""

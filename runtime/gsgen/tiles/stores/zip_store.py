@@ -139,8 +139,8 @@ class ZipStore(Store):
             )
         if len(data) < count:
             raise self._damage_error(f"{member.filename} is truncated")
-        is_whole = start == 0 and count == member.file_size
-        if is_whole and zlib.crc32(data) != member.CRC:
+        is_whole_member = start == 0 and count == member.file_size
+        if is_whole_member and zlib.crc32(data) != member.CRC:
             raise self._damage_error(f"{member.filename} has other bytes than its CRC-32 tells")
         return data
 

@@ -101,12 +101,12 @@ class TileFades:
         visible = self._fade_by_tile > 0
         # Only a tile with a visible one above or below it takes the place of something.
         has_drawn_relative = self._descendants(visible) | self._ancestors(visible)
-        is_entering = drawn & ~visible
-        self._fade_by_tile[is_entering & ~has_drawn_relative] = 1.0
+        is_entering_tile = drawn & ~visible
+        self._fade_by_tile[is_entering_tile & ~has_drawn_relative] = 1.0
         # A drawn tile below or above another has taken its place.
-        is_leaving = visible & ~drawn
+        is_leaving_tile = visible & ~drawn
         is_replaced = self._descendants(drawn) | self._ancestors(drawn)
-        self._fade_by_tile[is_leaving & ~(is_replaced & self._tiles_in_view(seen))] = 0.0
+        self._fade_by_tile[is_leaving_tile & ~(is_replaced & self._tiles_in_view(seen))] = 0.0
         is_fading_in = drawn & (self._fade_by_tile < 1) & (has_drawn_relative | visible)
         is_fading_out = (self._fade_by_tile > 0) & ~drawn
         self._fade_by_tile[is_fading_in] = np.minimum(self._fade_by_tile[is_fading_in] + step, 1.0)

@@ -256,11 +256,11 @@ class FailedTiles:
         """Record that the request of a tile failed; return the error in one line."""
         text = " ".join(str(error).split())
         self.first_cause = self.first_cause or text
-        delay = math.inf
+        retry_delay = math.inf
         if isinstance(error, StoreUnavailable):
-            delay = self._retry_seconds * 2.0 ** int(self._failures[tile])
+            retry_delay = self._retry_seconds * 2.0 ** int(self._failures[tile])
         self._failures[tile] += 1
-        self._retry_at[tile] = time + delay
+        self._retry_at[tile] = time + retry_delay
         return text
 
     def mask(self, time: float) -> Bool[np.ndarray, " n"]:

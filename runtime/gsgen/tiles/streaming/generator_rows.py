@@ -98,11 +98,11 @@ def _require_valid_rows(
         "have an invalid opacity": (~((opacity >= 0) & (opacity <= 1)), "0 <= opacity <= 1"),
         "lie outside the tile": (outside, "Gaussians within the tile's volume"),
     }
-    for actual, (invalid, expected) in checks.items():
-        if count := int(invalid.sum()):
+    for actual, (invalid_mask, expected) in checks.items():
+        if count := int(invalid_mask.sum()):
             raise TilesetInvalid(
                 f"{count:,} of {len(rows):,} Gaussians {actual}, the first is row "
-                f"{int(np.argmax(invalid))}",
+                f"{int(np.argmax(invalid_mask))}",
                 expected=expected,
                 fault=Fault.NEURAL,
             )

@@ -378,11 +378,11 @@ class NeuralTiles:
         excess_generator_count -= (
             self._options.sessions - len(self._open_generators) - len(self._loading_generators)
         )
-        unused = sorted(
+        unused_tiles = sorted(
             (tile for tile in self._open_generators if tile not in tiles),
             key=lambda tile: (self._open_generators[tile].last_drawn, tile),
         )
-        for tile in unused[: max(excess_generator_count, 0)]:
+        for tile in unused_tiles[: max(excess_generator_count, 0)]:
             self._release_generator(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:

@@ -61,8 +61,8 @@ class ResidentTiles:
         evicted = self._tiles_to_evict(missing_slots)
         if evicted is None:
             return None
-        for victim in evicted:
-            self.remove(victim)
+        for evicted_tile in evicted:
+            self.remove(evicted_tile)
         self.resident[tile] = True
         self.used_slots += int(self._slots[tile])
         self._last_use_time[tile] = time

@@ -399,10 +399,10 @@ class TilesetSession:
                 reserved_rows=int(self._reserved_row_count[tile]),
                 is_upgrade=bool(self._resident_tiles.resident[tile]),
             )
-            victims = self._admit_arrival(arrival, time)
-            if victims is None:
+            evicted_tiles = self._admit_arrival(arrival, time)
+            if evicted_tiles is None:
                 continue  # no room beside the drawn tiles: it is asked for again later
-            evicted += victims
+            evicted += evicted_tiles
             arrivals.append(arrival)
             remaining_bytes -= arrival.upload_bytes
             self._partial_upload = None if arrival.is_last else arrival
@@ -425,18 +425,18 @@ class TilesetSession:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
             needed = -(-len(arrival.rows) // self.slot_rows)
             self._slots[tile] = max(int(self._slots[tile]), needed)
-        victims = self._resident_tiles.admit_tile(tile, time)
-        if victims is None:
+        evicted_tiles = self._resident_tiles.admit_tile(tile, time)
+        if evicted_tiles is None:
             return None
         self._resident_tiles.protect(tile)  # no other arrival of the frame displaces it
-        for victim in victims:
-            self._tile_fades.drop(victim)
+        for evicted_tile in evicted_tiles:
+            self._tile_fades.drop(evicted_tile)
         if self._qualities:
-            for victim in victims:
-                self._qualities.gpu_quality[victim] = -1
-                self.tree.size[victim] = self._qualities.coarsest_size[victim]
+            for evicted_tile in evicted_tiles:
+                self._qualities.gpu_quality[evicted_tile] = -1
+                self.tree.size[evicted_tile] = self._qualities.coarsest_size[evicted_tile]
             self._qualities.gpu_quality[tile] = arrival.quality
-        return victims
+        return evicted_tiles
 
     def _request(self, time: float, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Request the tiles that the current frame needs."""

@@ -152,10 +152,10 @@ def _threads() -> int:
 def _distinct_files(
     pairs: Iterable[tuple[Tile | None, Content]],
 ) -> list[tuple[Tile | None, Content]]:
-    by_uri: dict[str, tuple[Tile | None, Content]] = {}
+    content_by_uri: dict[str, tuple[Tile | None, Content]] = {}
     for tile, content in pairs:
-        by_uri.setdefault(content.uri, (tile, content))
-    return list(by_uri.values())
+        content_by_uri.setdefault(content.uri, (tile, content))
+    return list(content_by_uri.values())
 
 
 def _read_in_order(

@@ -212,8 +212,8 @@ class _TileRenderer:
     def _read(self, cut: list[tuple[Tile, Content]]) -> list[PlacedSplats]:
         return [
             part
-            for owner, content in cut
-            for part in read_tile_content(self._store, self._tileset, owner, content)
+            for owner_tile, content in cut
+            for part in read_tile_content(self._store, self._tileset, owner_tile, content)
         ]
 
     def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RgbaImage]:
@@ -260,15 +260,15 @@ class _View:
         reach = max(float(np.exp(np.median(part.splats.log_scale.max(axis=1)))) for part in parts)
         low, high = positions.min(axis=0), positions.max(axis=0)
         radius = max(float(np.linalg.norm(high - low)) / 2 + 2 * reach, 1e-6)
-        half = math.tan(math.radians(FIELD_OF_VIEW) / 2)
+        half_tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2)
         share = error / radius
         size = (
             _PICTURE_SIZE_LIMITS[1]
             if not share
-            else 2 * half * _CAMERA_DISTANCE_RADII * REFINEMENT_PIXELS / share
+            else 2 * half_tangent * _CAMERA_DISTANCE_RADII * REFINEMENT_PIXELS / share
         )
         size = int(min(max(size, _PICTURE_SIZE_LIMITS[0]), _PICTURE_SIZE_LIMITS[1]))
-        focal = size / 2 / half
+        focal = size / 2 / half_tangent
         distance = max(_CAMERA_DISTANCE_RADII, share * focal / REFINEMENT_PIXELS)
         return cls(
             center=(low + high) / 2,

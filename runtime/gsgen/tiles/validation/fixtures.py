@@ -211,11 +211,11 @@ def tiles_opacity_above_one() -> TilesetSketch:
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
     count = sketch.document["root"]["children"][0]["metadata"]["properties"]["splats"]
 
-    def brighten(data: bytes) -> bytes:
+    def raise_opacities(data: bytes) -> bytes:
         first = count * 4 * (3 + 4 + 3)
         return data[:first] + struct.pack("<f", 1.5) + data[first + 4 :]
 
-    sketch.files[uri] = edit_glb(sketch.files[uri], binary=brighten)
+    sketch.files[uri] = edit_glb(sketch.files[uri], binary=raise_opacities)
     return sketch
 
 

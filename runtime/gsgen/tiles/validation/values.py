@@ -98,7 +98,7 @@ def _outside_volume(
     """
     linear = to_world[:3, :3]
     centers = part.positions() @ linear.T + to_world[:3, 3]
-    allowed = _SIZE_TOLERANCE * volume.size + _MIN_TOLERANCE
+    allowed_distance = _SIZE_TOLERANCE * volume.size + _MIN_TOLERANCE
     covariances = covariance_upper(
         np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation
     )
@@ -119,7 +119,9 @@ def _outside_volume(
         overshoot = np.where(
             center_overshoot > 0, center_overshoot + reach * (1 - _RADIUS_TOLERANCE), 0
         )
-    return np.where(overshoot > allowed, overshoot, 0.0), center_overshoot > allowed
+    return np.where(
+        overshoot > allowed_distance, overshoot, 0.0
+    ), center_overshoot > allowed_distance
 
 
 def _outside_children(
@@ -128,8 +130,8 @@ def _outside_children(
     centers = part.positions() @ to_world[:3, :3].T + to_world[:3, 3]
     nearest = np.full(len(centers), np.inf)
     for child in children:
-        allowed = margin + _SIZE_TOLERANCE * child.size + _MIN_TOLERANCE
-        nearest = np.minimum(nearest, np.maximum(child.outside(centers) - allowed, 0))
+        allowed_distance = margin + _SIZE_TOLERANCE * child.size + _MIN_TOLERANCE
+        nearest = np.minimum(nearest, np.maximum(child.outside(centers) - allowed_distance, 0))
     return nearest, nearest > 0
 
 
@@ -174,11 +176,11 @@ def check_values(container: Container, decoded: list[Splats], location: str) -> 
 
 def _check_unit(rotation: Float64[np.ndarray, "n 4"], location: str) -> None:
     length = np.linalg.norm(rotation, axis=1)
-    wrong = ~(np.abs(length - 1) <= _UNIT_TOLERANCE)
-    if wrong.any():
-        first = int(np.argmax(wrong))
+    is_wrong_length = ~(np.abs(length - 1) <= _UNIT_TOLERANCE)
+    if is_wrong_length.any():
+        first = int(np.argmax(is_wrong_length))
         raise TilesetInvalid(
-            f"{np.count_nonzero(wrong)} of {len(length)} quaternions are not unit, the first "
+            f"{np.count_nonzero(is_wrong_length)} of {len(length)} quaternions are not unit, the first "
             f"(row {first}) has length {length[first]:g}",
             location=f"{location}, attribute {EXTENSION_NAME}:ROTATION",
             expected="length 1",

@@ -66,8 +66,10 @@ def conformance(
     settings = make_settings(registry, level=level, target=target, fail_on=fail_on, config=config)
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
-    dumps = EvidenceDumps(dump) if dump else None
-    entries = [_test_generators(model, settings, suites, expected, dumps) for model in files]
+    evidence_dumps = EvidenceDumps(dump) if dump else None
+    entries = [
+        _test_generators(model, settings, suites, expected, evidence_dumps) for model in files
+    ]
     _print(entries, Format.JSON if as_json else format)
     _refuse_unused_suites(entries, settings, suites)
     _refuse_unmatched_entries(entries, settings, expected)
@@ -79,7 +81,7 @@ def _test_generators(
     settings: "Settings",
     suites: "list[str]",
     expected: "Sequence[ExpectedFailure]",
-    dumps: "EvidenceDumps | None",
+    evidence_dumps: "EvidenceDumps | None",
 ) -> "Entry":
     from gsgen.cli.progress import progress
     from gsgen.conformance.run import run_model
@@ -87,7 +89,12 @@ def _test_generators(
 
     try:
         return run_model(
-            model, settings, suites=suites, expected=expected, dumps=dumps, progress=progress
+            model,
+            settings,
+            suites=suites,
+            expected=expected,
+            dumps=evidence_dumps,
+            progress=progress,
         )
     except ModelUnreadable as error:
         return Unreadable(str(model), error)
@@ -115,13 +122,13 @@ def _refuse_unused_suites(
     """Raise if a requested suite applies to no tested model: nothing was tested by it."""
     from gsgen.conformance.run import ModelRun, suites_of
 
-    runs = [entry for entry in entries if isinstance(entry, ModelRun)]
-    tested_suites = {name for run in runs for name in run.suites}
+    model_runs = [entry for entry in entries if isinstance(entry, ModelRun)]
+    tested_suites = {name for run in model_runs for name in run.suites}
     unused_suites = [name for name in suites if name not in tested_suites]
-    if not runs or not unused_suites:
+    if not model_runs or not unused_suites:
         return
     known_suites = dict.fromkeys(
-        name for run in runs for name in suites_of(Path(run.report.path), settings)
+        name for run in model_runs for name in suites_of(Path(run.report.path), settings)
     )
     message = f"the suite {unused_suites[0]!r} applies to no tested model"
     raise ConfigInvalid(

@@ -252,5 +252,5 @@ def _exit_code(entries: "list[Entry]") -> ExitCode:
 
     reports = [entry for entry in entries if isinstance(entry, Report)]
     code = exit_code(reports)
-    unreadable = len(reports) < len(entries)
-    return ExitCode.UNREADABLE if unreadable and code != ExitCode.INTERNAL else code
+    has_unreadable_file = len(reports) < len(entries)
+    return ExitCode.UNREADABLE if has_unreadable_file and code != ExitCode.INTERNAL else code

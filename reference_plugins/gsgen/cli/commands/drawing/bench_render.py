@@ -73,23 +73,23 @@ def bench_render(
         )
         for note in sequence.notes:
             echo(f"note: {note}", err=True)
-        cost = measure(sequence, progress)
+        frame_cost = measure(sequence, progress)
     clear()
-    document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}
+    document = _document(scenes, frame_cost) | {"rasteriser": renderer.rasteriser}
     if output is not None:
         write_text(output, for_json(document) + "\n")
     if as_json:
         echo_json(document)
     else:
-        _print_frame_cost(cost)
+        _print_frame_cost(frame_cost)
 
 
-def _document(scenes: list[Path], cost: "FrameCost") -> dict[str, object]:
+def _document(scenes: list[Path], frame_cost: "FrameCost") -> dict[str, object]:
     tools = {name: version(name) for name in ("gsgen", "onnxruntime", "wgpu")}
-    return {"tools": tools, "scenes": [str(path) for path in scenes]} | asdict(cost)
+    return {"tools": tools, "scenes": [str(path) for path in scenes]} | asdict(frame_cost)
 
 
-def _print_frame_cost(cost: "FrameCost") -> None:
+def _print_frame_cost(frame_cost: "FrameCost") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -99,17 +99,17 @@ def _print_frame_cost(cost: "FrameCost") -> None:
     table.add_column("per frame", no_wrap=True)
     for name in ("p50 ms", "p95 ms"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_row("wall", *_cells(cost.wall))
-    table.add_row("CPU, all threads", *_cells(cost.cpu))
-    table.add_row("encode and submit, CPU", *_cells(cost.submit))
-    for name, phase_times in cost.inference.items():
+    table.add_row("wall", *_cells(frame_cost.wall))
+    table.add_row("CPU, all threads", *_cells(frame_cost.cpu))
+    table.add_row("encode and submit, CPU", *_cells(frame_cost.submit))
+    for name, phase_times in frame_cost.inference.items():
         table.add_row(Text(printable(f"inference, {Path(name).name}")), *_cells(phase_times))
-    clock_name = "by the device" if cost.clock == "timestamps" else "CPU"
-    for name, seconds in cost.stages.items():
+    clock_name = "by the device" if frame_cost.clock == "timestamps" else "CPU"
+    for name, seconds in frame_cost.stages.items():
         table.add_row(f"{name}, {clock_name}", _milliseconds(seconds), "")
     console = Console(highlight=False)
     console.print(table)
-    for line in _summary_lines(cost):
+    for line in _summary_lines(frame_cost):
         console.print(printable(line), markup=False, soft_wrap=True)
 
 
@@ -121,17 +121,17 @@ def _milliseconds(seconds: float) -> str:
     return f"{1000 * seconds:.3f}"
 
 
-def _summary_lines(cost: "FrameCost") -> list[str]:
+def _summary_lines(frame_cost: "FrameCost") -> list[str]:
     """Format the counts of drawn frames, the device and its memory as lines of text."""
-    width, height = cost.size
-    kind = " (a software driver)" if cost.software else ""
-    bytes_per_row = cost.rows_bytes / max(1, cost.capacity)
+    width, height = frame_cost.size
+    kind = " (a software driver)" if frame_cost.software else ""
+    bytes_per_row = frame_cost.rows_bytes / max(1, frame_cost.capacity)
     return [
-        f"{cost.frames} frames of {width}×{height} on {cost.device}{kind}",
-        f"{cost.gaussians:,} Gaussians, {cost.visible:,} visible, {cost.pairs:,} pairs of a "
+        f"{frame_cost.frames} frames of {width}×{height} on {frame_cost.device}{kind}",
+        f"{frame_cost.gaussians:,} Gaussians, {frame_cost.visible:,} visible, {frame_cost.pairs:,} pairs of a "
         "Gaussian and a tile",
-        f"{cost.frames_in_flight} frames in flight; the host waited {_milliseconds(cost.waited)} ms "
-        f"a frame; buffers grew {cost.growths}×, frames drawn again: {cost.redrawn}",
-        f"memory of the device: {cost.rows_bytes / _MEGABYTE:.1f} MB of Gaussians, {bytes_per_row:.0f} bytes "
-        f"each; {cost.plan_bytes / _MEGABYTE:.1f} MB for drawing",
+        f"{frame_cost.frames_in_flight} frames in flight; the host waited {_milliseconds(frame_cost.waited)} ms "
+        f"a frame; buffers grew {frame_cost.growths}×, frames drawn again: {frame_cost.redrawn}",
+        f"memory of the device: {frame_cost.rows_bytes / _MEGABYTE:.1f} MB of Gaussians, {bytes_per_row:.0f} bytes "
+        f"each; {frame_cost.plan_bytes / _MEGABYTE:.1f} MB for drawing",
     ]

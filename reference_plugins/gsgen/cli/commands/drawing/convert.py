@@ -135,8 +135,8 @@ def convert(
         "histograms": histograms,
     }
     summaries: list[tuple[Statistics, ...]] = []
-    merged: list[tuple[int, int]] = []
-    edits = edits_in_order(context, values, summaries, merged)
+    merged_counts: list[tuple[int, int]] = []
+    edits = edits_in_order(context, values, summaries, merged_counts)
     run = partial(
         convert_file,
         sources,
@@ -155,7 +155,7 @@ def convert(
     document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
     loss_lines = [
         f"--decimate merged {source_count:,} splats into {result_count:,}: detail is lost"
-        for source_count, result_count in merged
+        for source_count, result_count in merged_counts
         if result_count < source_count
     ]
     document["notes"] = notes + loss_lines
@@ -272,7 +272,7 @@ def _conversion_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
     source_mebibytes, result_mebibytes = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
-    not_compared = (
+    skipped_comparison = (
         [] if result.compared else ["not compared: the splats take more memory than that may"]
     )
     sizes = (
@@ -286,7 +286,7 @@ def _conversion_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
         else ""
     )
     lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
-    lines += [f"lost: {loss}" for loss in result.lost]
+    lines += [f"lost: {lost_item}" for lost_item in result.lost]
     changed_differences = [difference for difference in result.differences if difference.largest]
     if changed_differences:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
@@ -294,7 +294,7 @@ def _conversion_lines(result: "Conversion", *, has_edits: bool) -> list[str]:
         f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
         for difference in changed_differences
     ]
-    lines += not_compared
+    lines += skipped_comparison
     if result.degree and not changed_differences and not result.lost and result.compared:
         lines.append("nothing was lost by the format" if has_edits else "nothing was lost")
     return lines

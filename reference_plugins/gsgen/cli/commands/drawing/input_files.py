@@ -59,11 +59,11 @@ def refuse_inputs(output: Path, paths: Sequence[Path]) -> None:
     pictures = {target for target in targets if target.is_file()}
     naming = list(_naming_texts(paths)) if pictures else []
     for target in targets:
-        is_named = target in pictures and any(
+        is_named_picture = target in pictures and any(
             target.resolve().is_relative_to(folder) and target.name.encode() in text
             for folder, text in naming
         )
-        refuse_itself(target, [*paths, target] if is_named else paths)
+        refuse_itself(target, [*paths, target] if is_named_picture else paths)
 
 
 def _camera_files(camera: str | None) -> list[Path]:

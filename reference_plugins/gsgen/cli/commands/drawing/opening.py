@@ -84,10 +84,10 @@ def open_scenes(
     sizes = sizes_of(size)
     files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
-    with ExitStack() as stack:
+    with ExitStack() as exit_stack:
         confined = confined_models([*scenes, *model_paths], post or (), limits, provider)
         if confined is not None:
-            stack.callback(confined.close)
+            exit_stack.callback(confined.close)
         stream = tileset_opener(streaming, confined)
         with _warnings_as_notes():
             try:
@@ -105,10 +105,10 @@ def open_scenes(
                     )
                     sources += opened_sources
                     for source in opened_sources:
-                        stack.callback(source.close)
+                        exit_stack.callback(source.close)
                 for path in post or ():
                     models.append(PostProcessor(path, provider, sizes_by_path.get(path), confined))
-                    stack.callback(models[-1].close)
+                    exit_stack.callback(models[-1].close)
             except (InputUnreadable, SceneUnreadable) as error:
                 echo_error(error)
                 raise typer.Exit(ExitCode.UNREADABLE) from error

@@ -185,12 +185,12 @@ def _report_shortfalls(sources: "list[Source]", *, allow_missing: bool) -> None:
 
 def _require_weighted_sums(sources: "list[Source]") -> None:
     """Raise if a scene's splats are not blended by weighted sums, as ``--wsr published`` needs."""
-    unsummed = next(
+    unsummed_set = next(
         (source for source in sources if source.weighted is None or source.meshes), None
     )
-    if unsummed is not None:
+    if unsummed_set is not None:
         raise ConfigInvalid(
-            f"{unsummed.name} is not blended by weighted sums, which this option needs",
+            f"{unsummed_set.name} is not blended by weighted sums, which this option needs",
             where="--wsr published",
             hint="Leave that scene out, or draw with `--wsr contract`.",
         )

@@ -147,10 +147,10 @@ def with_common_options(
     with the name of a common option is a TypeError.
     """
     parameters = inspect.signature(build).parameters
-    conflicts = sorted(set(parameters) & set(_COMMON_PARAMETERS))
-    if conflicts:
+    conflicting_names = sorted(set(parameters) & set(_COMMON_PARAMETERS))
+    if conflicting_names:
         raise TypeError(
-            f"the plugin's parameter {conflicts[0]!r} has the name of an option of every export; rename it"
+            f"the plugin's parameter {conflicting_names[0]!r} has the name of an option of every export; rename it"
         )
 
     def command(**values: Any) -> None:

@@ -124,8 +124,8 @@ def _list(target: str, *, as_json: bool) -> None:
         return
     width = max(len(str(row["name"])) for row in rows)
     for row in rows:
-        mark = " " if row["runs"] else "-"
-        echo(f"{mark} {row['name']:<{width}}  {row['summary']} ({row['exactness']}).")
+        run_mark = " " if row["runs"] else "-"
+        echo(f"{run_mark} {row['name']:<{width}}  {row['summary']} ({row['exactness']}).")
     if not all(row["runs"] for row in rows):
         echo("", f"- marks passes that target {target} does not need.")
 

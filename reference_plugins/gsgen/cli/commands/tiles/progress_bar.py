@@ -47,8 +47,8 @@ class BarProgress(Progress):
     def advance(self, splats: int) -> None:
         """Advance the progress bar of a tileset build by a number of splats."""
         self._splats_done += splats
-        elapsed = time.monotonic() - self._start_time
-        rate = f"{self._splats_done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
+        elapsed_seconds = time.monotonic() - self._start_time
+        rate = f"{self._splats_done / elapsed_seconds:,.0f}/s" if elapsed_seconds > 0.5 else ""
         self._progress_bar.update(self._task_id, completed=self._splats_done, rate=rate)
 
     def note(self, message: str) -> None:

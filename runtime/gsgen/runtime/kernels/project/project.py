@@ -180,9 +180,9 @@ def page_uniforms(
     eye_in_camera = -(camera_from_model @ eye_remainder[:, :, None])[:, :, 0]
     uniforms["eye_at"] = eye_in_camera
     uniforms["eye_at_rest"] = eye_in_camera - uniforms["eye_at"].astype(np.float64)
-    clips = [splat_set.clip for splat_set in sets]
-    uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clips]
-    uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clips]
+    clip_boxes = [splat_set.clip for splat_set in sets]
+    uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clip_boxes]
+    uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clip_boxes]
     uniforms["opacity_scale"] = [splat_set.opacity_scale for splat_set in sets]
     uniforms["mip"] = [splat_set.antialias == "mip" for splat_set in sets]
     uniforms["degree"] = [_sh_degree(splat_set) for splat_set in sets]

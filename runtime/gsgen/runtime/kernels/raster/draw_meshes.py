@@ -178,9 +178,9 @@ class DrawMeshes:
         usage = "RENDER_ATTACHMENT|COPY_SRC"
         color, surface, depth = (
             self._device.raw.create_texture(
-                label=f"mesh {name}", size=(*size, 1), format=form, usage=usage
+                label=f"mesh {name}", size=(*size, 1), format=texture_format, usage=usage
             )
-            for name, form in (
+            for name, texture_format in (
                 ("colors", _FLOAT_FORMAT),
                 ("surfaces", _FLOAT_FORMAT),
                 ("depths", DEPTH_FORMAT),

@@ -30,7 +30,7 @@ _UNIFORM_FIELDS: Final = {
 MESH_UNIFORM: Final = np.dtype(
     {
         "names": list(_UNIFORM_FIELDS),
-        "formats": [form for form, _ in _UNIFORM_FIELDS.values()],
+        "formats": [field_format for field_format, _ in _UNIFORM_FIELDS.values()],
         "offsets": [offset for _, offset in _UNIFORM_FIELDS.values()],
         "itemsize": 256,  # a multiple of this is an offset that every device can bind at
     }

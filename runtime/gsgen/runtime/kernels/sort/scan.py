@@ -23,7 +23,7 @@ _SCAN_COUNTER_CODES: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 @final
 class Scan:
-    """Exclusive prefix sums: ``scan.wgsl``, and ``scan_blocks.wgsl`` for many numbers.
+    """Exclusive prefix sums: ``scan_step.wgsl``, and ``scan_blocks.wgsl`` for many numbers.
 
     A CPU scans as fast in one workgroup as in many. On a GPU one workgroup leaves most processors
     idle, so more than a few thousand numbers are summed by blocks, and these sums are scanned.
@@ -105,14 +105,14 @@ class Scan:
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         # Case 2: sum each block, scan the sums, and scan within the blocks from there.
         sums = self._device.storage("sums of blocks", 4 * blocks)
-        reduce, scan, add_sums = (
+        reduce_step, scan_step, add_sums = (
             self._reduce_kernel(),
             self._scan_sums_kernel(),
             self._add_sums_kernel(),
         )
         resources = (uniform, counts, numbers, sums)
         return [
-            Step(reduce, (reduce.bind(*resources),), (blocks, 1, 1)),
-            Step(scan, (scan.bind(uniform, counts, sums),), (1, 1, 1)),
+            Step(reduce_step, (reduce_step.bind(*resources),), (blocks, 1, 1)),
+            Step(scan_step, (scan_step.bind(uniform, counts, sums),), (1, 1, 1)),
             Step(add_sums, (add_sums.bind(*resources),), (blocks, 1, 1)),
         ]

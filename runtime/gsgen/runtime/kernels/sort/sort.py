@@ -152,12 +152,12 @@ class RadixSort:
             has_histogram: Whether the kernel that writes the keys has counted their first digits in the
                 first histogram, as ``first_digits.wgsl`` does; only for a staged sort.
         """
-        passes, width = -(-bits // self._sort_config.digit_bits), self._radix_digit_width(bits)
+        pass_count, width = -(-bits // self._sort_config.digit_bits), self._radix_digit_width(bits)
         totals = []
         if self._sort_config.is_staged:
             totals.append(self._device.storage("digit totals", 4 << self._sort_config.digit_bits))
         recorded_steps: list[Step] = []
-        for number in range(passes):
+        for number in range(pass_count):
             # Step 1: a pass sorts by the next digit, stably, so that the digits before stay sorted.
             digits = min(width, bits - number * width)
             next_digits = max(0, min(width, bits - (number + 1) * width))
@@ -185,7 +185,7 @@ class RadixSort:
                 *target_columns,
                 *totals,
             )
-            count, scatter, *rows = (
+            count, scatter_step, *rows = (
                 Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
             # Step 4: count the digits, sum the counts before each, and scatter keys and values.
@@ -202,5 +202,5 @@ class RadixSort:
                     rows=1 << digits,
                     total=source if first else None,
                 )
-            recorded_steps.append(scatter)
-        return recorded_steps, passes % 2
+            recorded_steps.append(scatter_step)
+        return recorded_steps, pass_count % 2

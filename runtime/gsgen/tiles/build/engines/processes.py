@@ -57,17 +57,17 @@ class Processes(Engine):
         """Run build tasks on all worker processes, started in the order of the tasks."""
         pending = list(range(len(tasks)))[::-1]
         failures = 0
-        running: dict[Future[_Result], int] = {}
-        while pending or running:
+        running_tasks: dict[Future[_Result], int] = {}
+        while pending or running_tasks:
             try:
                 pool = self._open_pool()
-                while pending and len(running) < _QUEUED_PER_WORKER * self._workers:
+                while pending and len(running_tasks) < _QUEUED_PER_WORKER * self._workers:
                     future: Future[_Result] = pool.submit(function, tasks[pending[-1]])
-                    running[future] = pending.pop()
-                finished_tasks, _ = wait(running, return_when=FIRST_COMPLETED)
+                    running_tasks[future] = pending.pop()
+                finished_tasks, _ = wait(running_tasks, return_when=FIRST_COMPLETED)
                 for future in finished_tasks:
                     result = future.result()
-                    yield running.pop(future), result
+                    yield running_tasks.pop(future), result
             except BrokenProcessPool as error:
                 failures += 1
                 if failures > MAX_RETRIES:
@@ -75,8 +75,8 @@ class Processes(Engine):
                         f"worker processes died {failures} times", hint=_MEMORY_HINT
                     ) from error
                 # Tasks that finished but were not yielded return at once: their marker file exists.
-                pending += sorted(running.values(), reverse=True)
-                running.clear()
+                pending += sorted(running_tasks.values(), reverse=True)
+                running_tasks.clear()
                 if self._pool is not None:
                     self._pool.shutdown(wait=True, cancel_futures=True)
                 self._pool = None

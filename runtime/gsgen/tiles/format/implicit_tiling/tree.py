@@ -90,8 +90,8 @@ def read_implicit(
 ) -> ImplicitTree:
     """Parse ``implicitTiling``, a member of a tile's JSON, into an implicit tree."""
     entry = tile.child("implicitTiling")
-    scheme = entry.values.get("subdivisionScheme")
-    if not isinstance(scheme, str) or scheme not in _AXIS_COUNT_BY_SCHEME:
+    subdivision_scheme = entry.values.get("subdivisionScheme")
+    if not isinstance(subdivision_scheme, str) or subdivision_scheme not in _AXIS_COUNT_BY_SCHEME:
         entry.refuse("subdivisionScheme", " or ".join(_AXIS_COUNT_BY_SCHEME))
     if isinstance(volume, Sphere):
         raise TilesetInvalid(
@@ -102,7 +102,7 @@ def read_implicit(
     levels_key = "availableLevels" if "availableLevels" in entry else "maximumLevel"
     levels = entry.whole(levels_key, least=1, most=MAX_LEVELS)
     subtree_levels = entry.whole("subtreeLevels", least=1, most=MAX_LEVELS)
-    dimensions = _AXIS_COUNT_BY_SCHEME[scheme]
+    dimensions = _AXIS_COUNT_BY_SCHEME[subdivision_scheme]
     if tile_count(2**dimensions, subtree_levels) > MAX_BITS:
         entry.refuse("subtreeLevels", f"subtrees of {MAX_BITS:,} tiles or fewer")
     contents = [tile.child("content")] if "content" in tile else []
