@@ -43,14 +43,14 @@ def printable(text: str, *, kept_chars: str = "") -> str:
     """
     if text.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.search(text):
         return text
-    return "".join(c if _has_glyph(c) or c in kept_chars else _escape(c) for c in text)
+    return "".join(c if _has_glyph(c) or c in kept_chars else _escape_character(c) for c in text)
 
 
 def _has_glyph(character: str) -> bool:
     return character.isprintable() and not _INVISIBLE_CHARACTER_PATTERN.match(character)
 
 
-def _escape(character: str) -> str:
+def _escape_character(character: str) -> str:
     return ascii(character)[1:-1]
 
 
@@ -76,7 +76,7 @@ def for_terminal(text: str, *, starts_line: bool = True) -> str:
 
 def _escape_for_terminal(line: str) -> str:
     return "".join(
-        c if _has_glyph(c) or c == "\t" or unicodedata.category(c) == "Zs" else _escape(c)
+        c if _has_glyph(c) or c == "\t" or unicodedata.category(c) == "Zs" else _escape_character(c)
         for c in line
     )
 
@@ -136,4 +136,4 @@ def _shell_escape(character: str) -> str:
         return f"\\x{code - 0xDC00:02x}"
     if 0x80 <= code <= 0xFF and not _has_glyph(character):  # \x80 would be a byte
         return f"\\u{code:04x}"
-    return character if _has_glyph(character) else _escape(character)
+    return character if _has_glyph(character) else _escape_character(character)

@@ -128,11 +128,11 @@ def convert(
     step(f"writing {target}")
     make_folder(target)
     writer(target, reduced)
-    is_compared = (
+    are_splats_compared = (
         sum(getattr(reduced, name).nbytes for name in SPLAT_ARRAY_NAMES) <= MAX_COMPARED_VALUES
     )
     entries: tuple[Difference, ...] = ()
-    if is_compared:
+    if are_splats_compared:
         step(f"comparing {target} with the source")
         entries = _compare_written_splats(reduced, target, codec, read_back or codec.read)
     return Conversion(
@@ -144,7 +144,7 @@ def convert(
         sizes=(_total_bytes(sources), written_bytes(target)),
         lost=lost_features,
         differences=entries,
-        compared=is_compared,
+        compared=are_splats_compared,
     )
 
 

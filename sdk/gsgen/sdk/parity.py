@@ -267,7 +267,7 @@ def _compare_probe(
     if (output.cells is None) != (reference.cells is None):
         return [FieldError(field="cells", error=1.0, excess=np.inf, probe=label)], 0
     worst_by_field: dict[str, FieldError] = {}
-    has_jumped = 0
+    jumped_mask = 0
     for measure, total in ((_row_errors, n), (_cell_errors, reference.live_cells)):
         errors_at = partial(measure, output, allowance)
         pending_errors: list[tuple[Errors, np.ndarray]] = []
@@ -275,27 +275,36 @@ def _compare_probe(
         for start in range(0, total, ROWS_PER_BLOCK):
             rows = np.arange(start, min(start + ROWS_PER_BLOCK, total))
             errors = errors_at(rows, reference)
-            is_within = np.all([excess_of(*pair) <= 1 for pair in errors.values()], axis=0)
-            pending_errors.append((_select_errors(errors, ~is_within), rows[~is_within]))
-            keep_worst(worst_by_field, _select_errors(errors, is_within), rows[is_within], label)
+            is_within_tolerance = np.all(
+                [excess_of(*pair) <= 1 for pair in errors.values()], axis=0
+            )
+            pending_errors.append(
+                (_select_errors(errors, ~is_within_tolerance), rows[~is_within_tolerance])
+            )
+            keep_worst(
+                worst_by_field,
+                _select_errors(errors, is_within_tolerance),
+                rows[is_within_tolerance],
+                label,
+            )
         rows = (
             np.concatenate([rows for _, rows in pending_errors])
             if pending_errors
             else np.zeros(0, np.int64)
         )
         # Step 2: a few others may be as they are nearby.
-        allowed_jump_count = max(1, _MAX_JUMP_FRACTION * n) - has_jumped
+        allowed_jump_count = max(1, _MAX_JUMP_FRACTION * n) - jumped_mask
         if nearby is not None and 0 < len(rows) <= _MAX_EXTRA_ROWS + allowed_jump_count:
             errors, jumped_rows = _retry_at_nearby_inputs(
                 errors_at, reference, rows, nearby(reference)
             )
             if jumped_rows <= allowed_jump_count:
                 pending_errors = [(errors, rows)]
-                has_jumped += jumped_rows
+                jumped_mask += jumped_rows
         # Step 3: what remains of the others counts.
         for errors, rows in pending_errors:
             keep_worst(worst_by_field, errors, rows, label)
-    return list(worst_by_field.values()), has_jumped
+    return list(worst_by_field.values()), jumped_mask
 
 
 def _select_errors(errors: Errors, mask: Bool[np.ndarray, " n"]) -> Errors:
@@ -307,7 +316,7 @@ def _retry_at_nearby_inputs(
 ) -> tuple[Errors, int]:
     """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
     errors = errors_at(rows, reference)
-    has_jumped = np.zeros(len(rows), bool)
+    jumped_mask = np.zeros(len(rows), bool)
     for neighbour in nearby:
         if neighbour.count != reference.count or len(neighbour.gaussians) < reference.count:
             continue
@@ -317,8 +326,8 @@ def _retry_at_nearby_inputs(
                 np.where(matches_nearby, b, a) for a, b in zip(errors[name], pair, strict=True)
             )
             errors[name] = (error, allowed)
-            has_jumped |= matches_nearby
-    return errors, int(np.count_nonzero(has_jumped))
+            jumped_mask |= matches_nearby
+    return errors, int(np.count_nonzero(jumped_mask))
 
 
 _ErrorMeasure = Callable[[np.ndarray, Reference], Errors]

@@ -70,7 +70,7 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
             "unreadable": causes.count("unreadable"),
         },
         "tolerance": index["tolerance"],
-        "tolerance_8_bits": _tolerance(index, is_png=True),
+        "tolerance_8_bits": _viewer_tolerance(index, is_png=True),
         "faults": suspected_faults(
             index, differing_case_names, failed_case_names - differing_case_names
         ),
@@ -208,7 +208,7 @@ def _does_frame_differ(frame: dict[str, Any]) -> bool:
     return frame["verdict"] == "failed" and "problem" not in frame
 
 
-def _tolerance(index: dict[str, Any], *, is_png: bool) -> dict[str, float]:
+def _viewer_tolerance(index: dict[str, Any], *, is_png: bool) -> dict[str, float]:
     limits: dict[str, float] = index["tolerance"]
     return index.get("tolerance_8_bits", limits) if is_png else limits
 
@@ -217,10 +217,10 @@ def _check_case(
     kit: Path, pictures: Path, case: dict[str, Any], index: dict[str, Any]
 ) -> dict[str, Any]:
     frames = [_check_frame(kit, pictures, frame["picture"], index) for frame in case["frames"]]
-    has_passed = all(frame["verdict"] == "passed" for frame in frames)
+    has_case_passed = all(frame["verdict"] == "passed" for frame in frames)
     return {
         "name": case["name"],
-        "verdict": "passed" if has_passed else "failed",
+        "verdict": "passed" if has_case_passed else "failed",
         "tests": case["tests"],
         "frames": frames,
     }
@@ -238,7 +238,7 @@ def _check_frame(kit: Path, pictures: Path, name: str, index: dict[str, Any]) ->
     except PictureUnreadable as error:
         return {"picture": name, "verdict": "failed", "problem": str(error), "cause": error.cause}
     is_png = (pictures / f"{name}.png").is_file()
-    return {"picture": name, **compare(expected, actual, _tolerance(index, is_png=is_png))}
+    return {"picture": name, **compare(expected, actual, _viewer_tolerance(index, is_png=is_png))}
 
 
 def compare(

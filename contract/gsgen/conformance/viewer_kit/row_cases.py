@@ -54,7 +54,7 @@ def _antialiased_model() -> ModelSpec:
     return model.with_weights(rows=thin_rows).with_manifest(antialias="mip")
 
 
-def _stale_rows() -> ModelSpec:
+def _model_with_stale_rows() -> ModelSpec:
     """Return a model of twelve rows with a row count of five; later rows hold stale Gaussians."""
     return still(12).with_weights(live=np.array([5], np.int32))
 
@@ -179,7 +179,7 @@ ROW_CASES: tuple[ViewerKitCase, ...] = (
         name="count-below-capacity",
         tests="Rows behind the count hold Gaussians that must not be drawn.",
         faults=(*COMMON_SH_FAULTS, "count"),
-        spec=_stale_rows,
+        spec=_model_with_stale_rows,
         frames=_ORBIT_FRAME_ONLY,
         breaks=("GV018",),
     ),

@@ -114,7 +114,7 @@ class WebClient:
         deadline = self.deadline()
 
         def attempt() -> int:
-            with self._response("HEAD", address, {}, deadline) as (response, _):
+            with self._open_response("HEAD", address, {}, deadline) as (response, _):
                 length = response.getheader("Content-Length")
                 if length is None:
                     raise ServerUnavailable(
@@ -184,7 +184,7 @@ class WebClient:
             into.seek(0)
             into.truncate()
             on_bytes(0)
-            with self._response("GET", part.address, part.headers, deadline) as answer:
+            with self._open_response("GET", part.address, part.headers, deadline) as answer:
                 response = answer[0]
                 if response.status == 416:
                     return
@@ -223,14 +223,14 @@ class WebClient:
                 return attempt()
             except ServerUnavailable as error:
                 wait = max(error.retry_after, backoff + random.uniform(0, _BACKOFF_SECONDS))
-                can_retry = error.is_transient and backoff and not self._pool.is_closed
-                if not (can_retry and wait < deadline.remaining):
+                can_retry_request = error.is_transient and backoff and not self._pool.is_closed
+                if not (can_retry_request and wait < deadline.remaining):
                     raise
             time.sleep(wait)
         raise AssertionError("the last attempt returns or raises")
 
     @contextmanager
-    def _response(
+    def _open_response(
         self, method: str, address: str, headers: Mapping[str, str], deadline: Deadline
     ) -> Iterator[tuple[HTTPResponse, WebConnection]]:
         """Send a request, follow its redirects, and release the connection in the end."""

@@ -124,7 +124,7 @@ class ConnectionPool:
 
     def release(self, connection: WebConnection, response: http.client.HTTPResponse | None) -> None:
         """Keep a connection whose response was read to its end; close any other."""
-        is_reusable = (
+        is_connection_reusable = (
             response is not None
             and not response.will_close
             and (response.isclosed() or response.length == 0)
@@ -134,7 +134,7 @@ class ConnectionPool:
         with self._lock:
             self._busy_connections.discard(connection)
             if (
-                is_reusable
+                is_connection_reusable
                 and not self.is_closed
                 and len(self._idle_connections) < _MAX_IDLE_CONNECTIONS
             ):

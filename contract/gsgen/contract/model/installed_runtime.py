@@ -15,14 +15,16 @@ _OLD_OPSET, _OLD_IR = 13, 8
 @cache
 def installed_bounds() -> tuple[int, int]:
     """Return the highest operator set and the highest IR version that ONNX Runtime loads."""
-    opset = _highest_supported(_OLD_OPSET, lambda version: _does_runtime_load(version, _OLD_IR))
-    return opset, _highest_supported(
+    opset = _highest_supported_version(
+        _OLD_OPSET, lambda version: _does_runtime_load(version, _OLD_IR)
+    )
+    return opset, _highest_supported_version(
         _OLD_IR, lambda version: _does_runtime_load(_OLD_OPSET, version)
     )
 
 
-def _highest_supported(first: int, can_load: Callable[[int], bool]) -> int:
-    return next(version for version in count(first) if not can_load(version + 1))
+def _highest_supported_version(first: int, can_load_version: Callable[[int], bool]) -> int:
+    return next(version for version in count(first) if not can_load_version(version + 1))
 
 
 def _does_runtime_load(opset: int, ir_version: int) -> bool:

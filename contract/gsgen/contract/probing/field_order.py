@@ -116,8 +116,8 @@ def _candidate_layouts(
         yield name, _convention_misfit_mask(_without_empty_rows(planes), bounds)
     if (rows[:, 7] < 0).any():  # where a variance stands, and a factor has either sign
         name = "a Cholesky factor in place of the covariance"
-        has_negative = (rows[:, [4, 6, 9]] < 0).any(axis=1)
-        yield name, _convention_misfit_mask(_squared_factor(rows), bounds) | has_negative
+        negative_scale_mask = (rows[:, [4, 6, 9]] < 0).any(axis=1)
+        yield name, _convention_misfit_mask(_squared_factor(rows), bounds) | negative_scale_mask
 
 
 def _without_empty_rows(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "m 10"]:

@@ -383,8 +383,10 @@ def _read_fault_report(
     else:
         log = log_path.read_text("utf-8", errors="replace")
         child_death = classify_child_end(status or 0, log, limits)
-        has_started = any(event["event"] == "started" for event in events) or not is_own_model
-        if child_death.stage == "host" or not has_started:
+        has_worker_started = (
+            any(event["event"] == "started" for event in events) or not is_own_model
+        )
+        if child_death.stage == "host" or not has_worker_started:
             raise HostProcessFailed(f"the process that runs the model ended: {child_death.message}")
         fault = Fault(child_death.stage, child_death.message, probe)
     host_limit = inherited_memory_limit()

@@ -135,9 +135,11 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
             except Exception as error:
                 if not extra:
                     raise
-                is_memory = fault_stage(error, probe) == "memory"
+                is_memory_fault = fault_stage(error, probe) == "memory"
                 reason = (
-                    {"missing_resource": "memory"} if is_memory else {"error": error_line(error)}
+                    {"missing_resource": "memory"}
+                    if is_memory_fault
+                    else {"error": error_line(error)}
                 )
                 emit("run", probe=probe, sample=-1, seconds=0.0, **reason)
                 continue

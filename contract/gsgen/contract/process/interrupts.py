@@ -110,8 +110,8 @@ def _raise_once_handler() -> Callable[[int, FrameType | None], None]:
 
 def _watch_signals(read_end: int, interrupts: InterruptHandler, seconds: float) -> None:
     while (number := os.read(read_end, 1)) != _WATCHER_STOP_BYTE:
-        is_ending = number[0] == signal.SIGINT or number[0] in ENDING_SIGNALS
-        if is_ending and not interrupts.requested.is_set():
+        is_ending_signal = number[0] == signal.SIGINT or number[0] in ENDING_SIGNALS
+        if is_ending_signal and not interrupts.requested.is_set():
             interrupts.exit_code = ExitCode(_SIGNAL_EXIT_CODE_BASE + number[0])
             interrupts.requested.set()
             end = threading.Timer(seconds, _end_process, (interrupts.exit_code,))

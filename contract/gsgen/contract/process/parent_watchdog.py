@@ -85,7 +85,7 @@ def prepare_worker() -> None:
 
 def exit_with_parent() -> None:
     """Start a thread that ends this process when its parent process has died."""
-    watch = _watch_on_windows if os.name == "nt" else _watch_parent
+    watch = _watch_parent_on_windows if os.name == "nt" else _watch_parent
     threading.Thread(target=watch, args=(os.getppid(),), name="lifeline", daemon=True).start()
 
 
@@ -95,7 +95,7 @@ def _watch_parent(parent: int) -> None:
     _end_process()
 
 
-def _watch_on_windows(parent: int) -> None:
+def _watch_parent_on_windows(parent: int) -> None:
     from gsgen.contract.process.windows import wait_for_exit
 
     wait_for_exit(int(os.environ.get(_PARENT_VARIABLE, parent)))

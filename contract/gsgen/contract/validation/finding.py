@@ -210,7 +210,7 @@ class Finding:
     @property
     def fingerprint(self) -> str:
         """A hash that identifies the finding across runs, machines and numbers of rows."""
-        has_rows = any(example.row is not None for example in self.examples)
-        kind = ("rows" if has_rows else "thing", self.certainty)
+        has_row_examples = any(example.row is not None for example in self.examples)
+        kind = ("rows" if has_row_examples else "thing", self.certainty)
         text = json.dumps((self.rule, self.where.subject, self.where.field, *kind))
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -81,8 +81,8 @@ class ResultCollector:
 
     def _blocking_reason(self, blocking_rule_id: str) -> str:
         outcome = self.outcomes.get(blocking_rule_id)
-        is_skipped = outcome is not None and outcome.status == "skipped"
-        return "was not checked" if is_skipped else "does not hold"
+        is_rule_skipped = outcome is not None and outcome.status == "skipped"
+        return "was not checked" if is_rule_skipped else "does not hold"
 
     def check(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
         """Run the check of a rule once, and count its violations; return False if it crashed."""

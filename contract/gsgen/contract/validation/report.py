@@ -209,8 +209,8 @@ class Report:
 
     def fails_by(self, finding: Finding) -> bool:
         """Return whether a finding alone makes the model invalid."""
-        is_confirmed = finding.counts and finding.certainty == "confirmed"
-        return is_confirmed and finding.severity >= self.fail_on
+        is_confirmed_finding = finding.counts and finding.certainty == "confirmed"
+        return is_confirmed_finding and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
         """Return the number of findings of a severity, except waived and baseline findings."""

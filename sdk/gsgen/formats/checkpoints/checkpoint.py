@@ -167,15 +167,15 @@ def _gsplat_layout(content: dict[Any, Any], path: Path) -> _CheckpointLayout:
 
 def _nerfstudio_layout(state: dict[Any, Any], path: Path) -> _CheckpointLayout:
     prefix = "_model.gauss_params."
-    has_prefix = any(str(name).startswith(prefix) for name in state)
-    prefix = prefix if has_prefix else "_model."
+    has_state_prefix = any(str(name).startswith(prefix) for name in state)
+    prefix = prefix if has_state_prefix else "_model."
     tensors = {
         name.removeprefix(prefix): value
         for name, value in state.items()
         if isinstance(name, str) and name.startswith(prefix)
     }
     unknown_names = [name for name in tensors if name not in _SPLATFACTO_KEYS]
-    if "means" not in tensors or (has_prefix and unknown_names):
+    if "means" not in tensors or (has_state_prefix and unknown_names):
         raise NotSupported(
             f"the checkpoint holds another nerfstudio model than splatfacto, with {join_names(unknown_names or list(map(str, state)), limit=6)}",
             where="pipeline",

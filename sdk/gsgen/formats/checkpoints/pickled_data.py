@@ -96,8 +96,8 @@ class _PickleMachine:
 
     def call_function(self) -> None:
         function, arguments = self.pop_many(2)
-        is_name = isinstance(function, OpaqueObject) and function.arguments is None
-        self.push(_build_object(function.name if is_name else "", arguments))
+        is_class_name = isinstance(function, OpaqueObject) and function.arguments is None
+        self.push(_build_object(function.name if is_class_name else "", arguments))
 
     def set_state(self) -> None:
         (state,) = self.pop_many(1)

@@ -103,7 +103,7 @@ def _parse_scaling(text: str) -> Edit:
     return lambda splats: scaled(splats, factor)
 
 
-def _floaters(text: str) -> Edit:
+def _parse_floaters(text: str) -> Edit:
     size, neighbours = _numbers(text, "SIZE,COUNT")
     return lambda splats: without_floaters(splats, size, int(neighbours))
 
@@ -115,7 +115,7 @@ EDIT_OPTIONS: Final[dict[str, Option]] = {
     "box": _numeric_edit_option(within_box, "X,Y,Z,X,Y,Z"),
     "sphere": _numeric_edit_option(within_sphere, "X,Y,Z,RADIUS"),
     "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
-    "drop_floaters": Option("SIZE,COUNT", _floaters, is_row_wise=False),
+    "drop_floaters": Option("SIZE,COUNT", _parse_floaters, is_row_wise=False),
     "decimate": Option("N|N%", _parse_decimation, is_row_wise=False),
     "morton": Option("", lambda text: morton_ordered, is_row_wise=False),
 }

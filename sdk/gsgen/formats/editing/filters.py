@@ -29,7 +29,7 @@ _CONDITION_PATTERN: Final = re.compile(r"\s*(\w+)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*
 Quantity = Callable[[Splats], Float32[np.ndarray, " n"]]
 
 
-def _coordinate(axis: int) -> Quantity:
+def _coordinate_quantity(axis: int) -> Quantity:
     return lambda splats: splats.position[:, axis]
 
 
@@ -42,7 +42,7 @@ def _color(channel: int) -> Quantity:
 
 
 FILTER_QUANTITIES: Final[dict[str, Quantity]] = {
-    **{name: _coordinate(axis) for axis, name in enumerate("xyz")},
+    **{name: _coordinate_quantity(axis) for axis, name in enumerate("xyz")},
     **{f"scale_{axis}": _scale(axis) for axis in range(3)},
     "largest_scale": lambda splats: np.exp(splats.log_scale.max(axis=1)),
     "opacity": lambda splats: sigmoid(splats.logit_opacity),

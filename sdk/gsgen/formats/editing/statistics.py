@@ -43,7 +43,7 @@ class Statistics:
 
 def summarise(splats: Splats) -> tuple[Statistics, ...]:
     """Return the distribution of every quantity of splats, such as opacity, with units."""
-    return tuple(_statistics(name, _values(splats, name)) for name in FILTER_QUANTITIES)
+    return tuple(_field_statistics(name, _values(splats, name)) for name in FILTER_QUANTITIES)
 
 
 def statistics_text(summary: Sequence[Statistics]) -> str:
@@ -120,7 +120,7 @@ def _values(splats: Splats, name: str) -> Float64[np.ndarray, " n"]:
     return values[np.isfinite(values)]
 
 
-def _statistics(name: str, values: Float64[np.ndarray, " n"]) -> Statistics:
+def _field_statistics(name: str, values: Float64[np.ndarray, " n"]) -> Statistics:
     if not len(values):
         values = np.full(1, np.nan)
     return Statistics(

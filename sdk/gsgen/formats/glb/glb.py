@@ -81,7 +81,7 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool =
         glb = _parse_any(data, path, max_bytes)
         splats = drawable(_decode(glb, max_bytes), path, drop_invalid=drop_invalid)
         warn_unused(path, _unused_parts(glb))
-        warn_unused(path, _left_out_meshes(glb), MeshWarning)
+        warn_unused(path, _omitted_mesh_texts(glb), MeshWarning)
         return splats
 
 
@@ -146,7 +146,7 @@ def _decode(glb: Container, max_bytes: int) -> Splats:
     return flip(join_splats(parts), RDF_LUF)
 
 
-def _left_out_meshes(glb: Container) -> list[str]:
+def _omitted_mesh_texts(glb: Container) -> list[str]:
     """Return the primitives of the scene that are no splats, with their numbers of vertices."""
     texts = []
     for mesh, _ in meshes(glb):

@@ -45,10 +45,10 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
     separation = np.concatenate([[0], separation_depths(mixture.code)])
     cell_counts = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
     depth = max(0, int(np.searchsorted(cell_counts, count, side="right")) - 1)
-    is_start = separation <= depth
+    cluster_start_mask = separation <= depth
     if depth == DEPTH:
-        return np.flatnonzero(is_start)
-    cell = np.cumsum(is_start) - 1
+        return np.flatnonzero(cluster_start_mask)
+    cell = np.cumsum(cluster_start_mask) - 1
     parts = np.bincount(cell[separation == depth + 1], minlength=int(cell[-1]) + 1)
     order = np.argsort(-_cell_scatter(mixture, cell), kind="stable")
     order = order[parts[order] > 0]
@@ -56,7 +56,7 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
     is_split[
         order[: int(np.searchsorted(np.cumsum(parts[order]), count - len(parts), "right"))]
     ] = 1
-    return np.flatnonzero(is_start | ((separation == depth + 1) & is_split[cell]))
+    return np.flatnonzero(cluster_start_mask | ((separation == depth + 1) & is_split[cell]))
 
 
 def _cell_scatter(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:

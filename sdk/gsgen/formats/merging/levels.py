@@ -125,9 +125,11 @@ def _select_largest_splats(
     run = _cell_starts(cell[order_by_cell])
     rank = np.empty(len(rows), np.int64)
     rank[order_by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
-    is_added = rank + 1 < np.diff(starts, append=len(mass))[cell]
+    is_candidate_added = rank + 1 < np.diff(starts, append=len(mass))[cell]
     # 3. As many as there is room for.
-    retained_count = np.searchsorted(np.cumsum(is_added), count - len(starts), side="right")
+    retained_count = np.searchsorted(
+        np.cumsum(is_candidate_added), count - len(starts), side="right"
+    )
     retained_mask[rows[:retained_count]] = True
     return retained_mask
 

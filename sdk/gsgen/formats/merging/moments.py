@@ -92,13 +92,13 @@ def merge_clusters(
     sh = _group_means(number, weight, flat_sh, len(first)).astype(np.float32)
     # 4. A single member stays as it is; the others are turned into ellipsoids.
     scale, rotation = mixture.scale[first], mixture.rotation[first]
-    is_merged = sizes > 1
-    if is_merged.any():
-        scale[is_merged], rotation[is_merged] = ellipsoids(covariance[is_merged])
+    merged_mask = sizes > 1
+    if merged_mask.any():
+        scale[merged_mask], rotation[merged_mask] = ellipsoids(covariance[merged_mask])
     opacity = mixture.opacity[first]
-    area = surface_area(scale[is_merged])
-    opacity[is_merged] = np.minimum(total[is_merged] / area, MAX_OPACITY)
-    covariance[~is_merged] = mixture.covariance[first[~is_merged]]
+    area = surface_area(scale[merged_mask])
+    opacity[merged_mask] = np.minimum(total[merged_mask] / area, MAX_OPACITY)
+    covariance[~merged_mask] = mixture.covariance[first[~merged_mask]]
     return Mixture(
         code=mixture.code[first],
         mean=origin + mean,

@@ -74,8 +74,8 @@ def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: in
     if item.count_type is None:
         return 1
     count = data[start : start + int(item.count_type[1])]
-    is_signed = item.count_type[0] == "i"
-    length = int.from_bytes(count, header.byte_order, signed=is_signed)
+    is_signed_count = item.count_type[0] == "i"
+    length = int.from_bytes(count, header.byte_order, signed=is_signed_count)
     if length < 0:
         where = f"property {quoted(item.name)}, row {row}, byte {start}"
         raise BodyMalformed(

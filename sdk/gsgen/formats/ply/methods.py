@@ -27,7 +27,7 @@ def require_still_splats(names: Collection[str]) -> None:
         matches = [name for name in names if pattern.fullmatch(name)]
         if not matches:
             continue
-        is_installed = plugin in {
+        is_plugin_installed = plugin in {
             point.name for point in registered_entry_points("gsgen.generators")
         }
         raise NotSupported(
@@ -35,7 +35,7 @@ def require_still_splats(names: Collection[str]) -> None:
             where="element 'vertex'",
             expected="the properties of a 3DGS PLY",
             hint=f"`gsgen export {plugin} --checkpoint FILE -o OUT.onnx` exports them"
-            if is_installed
+            if is_plugin_installed
             else "no installed plugin reads them; bake one moment with the method's own code",
         )
 

@@ -26,7 +26,7 @@ def is_packed(header: Header) -> bool:
 
 def read_packed(data: mmap.mmap, header: Header) -> tuple[Splats, dict[str, tuple[str, ...]]]:
     """Return the splats of a compressed PLY file, and the used properties of each element."""
-    vertex, chunk_element = _element(header, "vertex"), _element(header, "chunk")
+    vertex, chunk_element = _require_element(header, "vertex"), _require_element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
     needed = -(-vertex.count // rows.ROWS_PER_CHUNK)
     if chunk_element.count < needed:
@@ -102,7 +102,7 @@ def _read_higher_sh_bands(
     return np.ascontiguousarray(channels.swapaxes(1, 2))
 
 
-def _element(header: Header, name: str) -> Element:
+def _require_element(header: Header, name: str) -> Element:
     element = header.find(name)
     if element is None:
         raise PropertyMissing(

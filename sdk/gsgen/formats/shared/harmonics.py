@@ -59,11 +59,11 @@ def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.nd
             norm = math.sqrt((2 if m else 1) * (2 * band + 1) / (4 * math.pi) * ratio)
             angle = azimuth_powers[m].imag if order < 0 else azimuth_powers[m].real
             column = band * band + band + order
-            basis[:, column] = (-1) ** m * norm * _legendre(band, m, z) * angle
+            basis[:, column] = (-1) ** m * norm * _legendre_value(band, m, z) * angle
     return basis
 
 
-def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
+def _legendre_value(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
     """Return P_l^m(z) / (1 − z²)^(m/2) of associated Legendre functions, by recurrence in l."""
     previous_term = np.zeros_like(z)
     legendre_term = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))

@@ -197,11 +197,11 @@ def _sort_axes(variances: Vectors, quaternion: Quaternions) -> None:
     """Sort eigenvalues in place by swaps of two axes, which are quarter turns about the third."""
     for axis in _SWAP_AXES:
         low, high = variances[(axis + 1) % 3], variances[(axis + 2) % 3]
-        is_swapped = (low > high).astype(np.float32)  # 0 or 1: tan 0° or tan 45°
+        swapped_mask = (low > high).astype(np.float32)  # 0 or 1: tan 0° or tan 45°
         smaller = np.minimum(low, high)
         np.maximum(low, high, out=high)
         low[:] = smaller
-        _rotate_about_axis(quaternion, axis, is_swapped)
+        _rotate_about_axis(quaternion, axis, swapped_mask)
 
 
 def _choose_smallest_rotation_form(quaternion: Quaternions) -> None:

@@ -84,16 +84,16 @@ class Splats:
         rows = [
             ("SH degree", str(self.degree)),
             ("box", _box(self.position)),
-            ("training", self._training),
+            ("training", self._training_mode_text),
         ]
         return summary_html(f"{len(self):,} splats", rows, preview_png(self))
 
     def __repr__(self) -> str:
-        facts = f"SH degree {self.degree}, box {_box(self.position)}, {self._training}"
+        facts = f"SH degree {self.degree}, box {_box(self.position)}, {self._training_mode_text}"
         return f"<Splats: {len(self):,} splats, {facts}>"
 
     @property
-    def _training(self) -> str:
+    def _training_mode_text(self) -> str:
         return "antialiased" if self.antialiased else "classic"
 
 

@@ -48,7 +48,7 @@ def _refined_palette(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, floa
     for _ in range(rounds):
         labels = nearest_entries(rows, palette)
         error = _error(rows, palette, labels)
-        palette = _means(rows, labels, palette)
+        palette = _updated_palette_means(rows, labels, palette)
     return palette, error
 
 
@@ -130,7 +130,7 @@ def _group_means(rows: Rows, starts: Int64[np.ndarray, " k"]) -> Rows:
     return np.asarray(np.add.reduceat(rows, starts, axis=0) / counts[:, None], np.float32)
 
 
-def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
+def _updated_palette_means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
     """Return each palette entry as the mean of its rows; entries without rows stay unchanged."""
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))

@@ -173,7 +173,7 @@ class _ImageWriter:
         return name
 
 
-def _column(
+def _concatenate_column(
     splats: SplatParts, select: Callable[[Splats], Float32[np.ndarray, "m ..."]]
 ) -> Float32[np.ndarray, "n ..."]:
     """Concatenate the arrays that a function selects from each part of the splats."""
@@ -188,7 +188,7 @@ def _column(
     return table
 
 
-def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
+def _higher_sh_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
     """Yield SH coefficients above degree 0 in batches of 2¹⁸ splats.
 
     The batches do not depend on the sizes of the parts, so that rounding does not either.
@@ -209,7 +209,7 @@ def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
 
 def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     """Return the content of each file of a SOG, meta.json last."""
-    steps, low, high = _stored_positions(_column(splats, lambda part: part.position))
+    steps, low, high = _stored_positions(_concatenate_column(splats, lambda part: part.position))
     images = _ImageWriter(np.arange(len(steps)) if is_sorted else grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
@@ -220,11 +220,13 @@ def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
     }
     del steps
     meta["scales"] = _add_scales(
-        _finite_scales(_column(splats, lambda part: part.log_scale)), images
+        _finite_scales(_concatenate_column(splats, lambda part: part.log_scale)), images
     )
-    meta["quats"] = _add_rotations(_column(splats, lambda part: part.rotation), images)
-    logit_opacity = _column(splats, lambda part: part.logit_opacity)
-    meta["sh0"] = _add_colors(_column(splats, lambda part: part.sh[:, 0]), logit_opacity, images)
+    meta["quats"] = _add_rotations(_concatenate_column(splats, lambda part: part.rotation), images)
+    logit_opacity = _concatenate_column(splats, lambda part: part.logit_opacity)
+    meta["sh0"] = _add_colors(
+        _concatenate_column(splats, lambda part: part.sh[:, 0]), logit_opacity, images
+    )
     del logit_opacity
     if splats.degree:
         meta["shN"] = _add_palette(splats, images)
@@ -336,7 +338,7 @@ def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
     """Return the SH coefficients above degree 0 of evenly spaced splats, to train the palette."""
     step = training_step(len(splats))
     first, samples = 0, []  # the next row of the sample, counted from the start of the batch
-    for rows in _higher_batches(splats):
+    for rows in _higher_sh_batches(splats):
         samples.append(rows[first::step].copy())
         first = (first - len(rows)) % step
     return np.concatenate(samples)
@@ -344,7 +346,7 @@ def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
 
 def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[np.ndarray, " n"]:
     """Return the index of each splat's entry in the SH palette."""
-    batches = _higher_batches(splats)
+    batches = _higher_sh_batches(splats)
     return np.concatenate([nearest_entries(rows, palette).astype(np.uint16) for rows in batches])
 
 

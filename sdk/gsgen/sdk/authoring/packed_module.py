@@ -61,8 +61,8 @@ class PackedGenerator(nn.Module):
             raise GeneratorInvalid(message, where="capacity", hint=hint)
         opacity = gaussians.opacity.reshape(n, 1)
         if gaussians.count is not None:
-            is_live = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)
-            opacity = opacity * is_live[:, None].to(opacity.dtype)
+            live_mask = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)
+            opacity = opacity * live_mask[:, None].to(opacity.dtype)
         return torch.cat([gaussians.position, opacity, gaussians.covariances()], dim=1)
 
     def _color(self, gaussians: Gaussians) -> Tensor:
@@ -83,8 +83,8 @@ class PackedGenerator(nn.Module):
         visibility = cells.visibility.reshape(c, 1)
         if gaussians.count is not None:
             first = torch.arange(c, device=visibility.device) * per_cell
-            is_live = first < gaussians.count.reshape(1)
-            visibility = visibility * is_live[:, None].to(visibility.dtype)
+            live_mask = first < gaussians.count.reshape(1)
+            visibility = visibility * live_mask[:, None].to(visibility.dtype)
         rows = torch.cat([cells.position, visibility, cells.covariances()], dim=1)
         return self._padded(rows, self.packed.capacity // per_cell)
 

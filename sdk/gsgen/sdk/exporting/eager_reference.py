@@ -168,7 +168,7 @@ def _decode_gaussians(gaussians: Gaussians) -> layout.DecodedGaussians:
     return layout.DecodedGaussians(
         position=_array(gaussians.position),
         opacity=_array(gaussians.opacity).reshape(-1),
-        covariance=_covariance(gaussians),
+        covariance=_packed_covariance_array(gaussians),
         sh=None if gaussians.sh is None else _array(gaussians.sh),
         rgb=None if gaussians.rgb is None else _array(gaussians.rgb),
     )
@@ -176,10 +176,10 @@ def _decode_gaussians(gaussians: Gaussians) -> layout.DecodedGaussians:
 
 def _unpacked_cells(cells: Cells) -> layout.Cells:
     visibility = _array(cells.visibility).reshape(-1)
-    return layout.Cells(_array(cells.position), visibility, _covariance(cells))
+    return layout.Cells(_array(cells.position), visibility, _packed_covariance_array(cells))
 
 
-def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
+def _packed_covariance_array(ellipsoids: Gaussians | Cells) -> np.ndarray:
     if ellipsoids.covariance is not None:
         return _array(ellipsoids.covariance)
     assert ellipsoids.scale is not None

@@ -148,7 +148,7 @@ def export(
     with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         # Step 1: eager reference and hazards. A search for float16 weights measures a float32 graph.
         progress("running the module in eager torch")
-        prepared = prepare_export(
+        prepared_export = prepare_export(
             generator,
             options,
             dtype="float32" if rewrite else dtype,
@@ -158,14 +158,14 @@ def export(
         )
         # Steps 2 to 4: tracing, rewriting and manifest.
         progress("tracing the graph")
-        traced = _trace(prepared, options, notes)
+        traced = _trace(prepared_export, options, notes)
         progress("rewriting the graph")
-        rewritten = _rewrite(traced, prepared, options, half=half)
+        rewritten = _rewrite_for_target(traced, prepared_export, options, half=half)
         # Steps 5 to 7: verification, validation and atomic write.
         with atomic_write(path) as draft:
             save_model(rewritten.model, draft)
             verification_result = _verify_exported_model(
-                draft, prepared, rewritten, options, vectors, pictures
+                draft, prepared_export, rewritten, options, vectors, pictures
             )
             report = check_contract(draft, options)
     gaussians = rewritten.manifest.outputs.gaussians
@@ -187,22 +187,22 @@ def export(
     )
 
 
-def _trace(prepared: PreparedExport, options: ExportOptions, notes: list[str]) -> ir.Model:
-    gaussians = prepared.manifest.outputs.gaussians
+def _trace(prepared_export: PreparedExport, options: ExportOptions, notes: list[str]) -> ir.Model:
+    gaussians = prepared_export.manifest.outputs.gaussians
     assert gaussians is not None
     storage = Packed(getattr(torch, gaussians.dtype), gaussians.capacity)
-    packed = PackedGenerator(prepared.generator, storage)
-    hazards = prepared.watch.hazards
+    packed = PackedGenerator(prepared_export.generator, storage)
+    hazards = prepared_export.watch.hazards
     return trace_generator(
-        packed, prepared.example, prepared.manifest, options.opset, hazards, notes
+        packed, prepared_export.example, prepared_export.manifest, options.opset, hazards, notes
     )
 
 
-def _rewrite(
-    model: ir.Model, prepared: PreparedExport, options: ExportOptions, *, half: bool
+def _rewrite_for_target(
+    model: ir.Model, prepared_export: PreparedExport, options: ExportOptions, *, half: bool
 ) -> _RewrittenModel:
     """Rewrite a traced graph for the target; with ``half``, store weights and outputs in float16."""
-    manifest, references = prepared.manifest, prepared.references
+    manifest, references = prepared_export.manifest, prepared_export.references
     target = load_target(options.target)
     changes = tuple(rewrite_and_embed(model, manifest, target, rewrite=options.rewrite))
     if not (half and options.rewrite):
@@ -224,24 +224,37 @@ def _rewrite(
 
 def _verify_exported_model(
     draft: Path,
-    prepared: PreparedExport,
+    prepared_export: PreparedExport,
     rewritten: _RewrittenModel,
     options: ExportOptions,
     vectors: int,
     pictures: SourcePictures | None,
 ) -> _VerificationResult:
     """Compare a draft with its module, and record rows and pictures of the module in it."""
-    generator, manifest, watch = prepared.generator, rewritten.manifest, prepared.watch
-    suspects = ParitySuspects(generator, prepared.example, watch.hazards, options.rewrite)
+    generator, manifest, watch = (
+        prepared_export.generator,
+        rewritten.manifest,
+        prepared_export.watch,
+    )
+    suspects = ParitySuspects(generator, prepared_export.example, watch.hazards, options.rewrite)
     is_sorting = any(hazard.kind == "order" for hazard in watch.hazards)
-    recorder = RowRecorder(prepared.references, prepared.recordable, 0 if is_sorting else vectors)
+    recorder = RowRecorder(
+        prepared_export.references, prepared_export.recordable, 0 if is_sorting else vectors
+    )
     slack, roundings = (
         (None, 1) if rewritten.float16_result is None else (_FLOAT16_SLACK, _HALF_ROUNDINGS)
     )
     parity = check_parity(
-        draft, manifest, prepared.references, suspects, options.progress, recorder, slack, roundings
+        draft,
+        manifest,
+        prepared_export.references,
+        suspects,
+        options.progress,
+        recorder,
+        slack,
+        roundings,
     )
-    check_memory(generator, watch, prepared.references)
+    check_memory(generator, watch, prepared_export.references)
     recorded_vectors = add_source_vectors(draft, recorder, slack)
 
     def run_packed(probe: Probe) -> Mapping[str, np.ndarray]:

@@ -60,8 +60,8 @@ def _refuse_not_finite(where: str, values: Tensor, inputs: str) -> None:
     if not values.numel() or all(bound.isfinite() for bound in values.aminmax()):
         return
     invalid_count = int((~torch.isfinite(values)).reshape(len(values), -1).any(dim=1).sum())
-    has_nan, has_infinity = bool(values.isnan().any()), bool(values.isinf().any())
-    kinds = " or ".join(["NaN"] * has_nan + ["infinity"] * has_infinity)
+    has_nan_values, has_infinite_values = bool(values.isnan().any()), bool(values.isinf().any())
+    kinds = " or ".join(["NaN"] * has_nan_values + ["infinity"] * has_infinite_values)
     raise GeneratorInvalid(
         f"{kinds} in {invalid_count:,} of {len(values):,} rows at {inputs!r}; expected finite numbers",
         where=where,

@@ -129,8 +129,8 @@ def _recorded_vector(
         outputs=outputs,
         tolerances=tolerances,
     )
-    is_different = any(vector_faults(subject, vector, recorder.outputs[index], steps))
-    return None if is_different else vector
+    is_vector_different = any(vector_faults(subject, vector, recorder.outputs[index], steps))
+    return None if is_vector_different else vector
 
 
 def _drawn_rows(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:

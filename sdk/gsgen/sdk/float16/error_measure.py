@@ -84,8 +84,8 @@ class ErrorProbe:
         return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
     def _reference(self, probe: Probe, step: int = 1) -> Reference:
-        no_nodes = np.zeros(len(self.model.units), np.bool_)
-        output = self._read(self.model.run(probe.inputs, no_nodes)).every_nth(step)
+        empty_node_list = np.zeros(len(self.model.units), np.bool_)
+        output = self._read(self.model.run(probe.inputs, empty_node_list)).every_nth(step)
         if output.rows.dtype != np.float32:
             message = f"is {output.rows.dtype} already"
             raise RewriteFailed(message, where=f"output {self.names[0]}")

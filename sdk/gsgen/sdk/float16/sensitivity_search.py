@@ -91,8 +91,8 @@ def _choose_groups(
             high = midpoint - 1
     quantized, retained = list(groups[:low]), []
     for group in groups[low:]:
-        is_allowed = group.excess <= allowed and call_count() < budget
-        if is_allowed and measure_cost(_units_of_groups([*quantized, group]))[0] <= allowed:
+        is_group_allowed = group.excess <= allowed and call_count() < budget
+        if is_group_allowed and measure_cost(_units_of_groups([*quantized, group]))[0] <= allowed:
             quantized.append(group)
         else:
             retained.append(group)

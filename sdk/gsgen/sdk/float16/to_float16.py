@@ -152,8 +152,8 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
 
 def _is_float32(value: ir.Value) -> bool:
     """Return whether a value is a tensor in float32, not a sequence or an optional of them."""
-    is_container = isinstance(value.type, ir.SequenceType | ir.OptionalType)
-    return value.dtype == FLOAT and not is_container
+    is_container_type = isinstance(value.type, ir.SequenceType | ir.OptionalType)
+    return value.dtype == FLOAT and not is_container_type
 
 
 def _has_containers(node: ir.Node) -> bool:

@@ -75,10 +75,10 @@ class LiveLevel:
     def refusal(self) -> str:
         """Why ONNX Runtime refused to capture the model's graph; empty if it did not."""
         stop = self.stop
-        has_ended_early = (
+        has_worker_ended_early = (
             stop is not None and stop.phase == "captured" and not self.is_capture_accepted
         )
-        return stop.message if stop is not None and has_ended_early else ""
+        return stop.message if stop is not None and has_worker_ended_early else ""
 
     @property
     def state(self) -> str:

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from gsgen.sdk.live.level import LiveLevel
 
 
-def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
+def _prepare_live_level(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
     from gsgen.sdk.live.level import prepare_live
 
     return prepare_live(probe_runs)
 
 
-LIVE_BACKEND = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
+LIVE_BACKEND = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare_live_level)
 
 _EXPECTED_RUN_TEXT = "every frame of several, with inputs that change"
 _live_rule = partial(rule, over="live", kinds=MANIFEST_KINDS)

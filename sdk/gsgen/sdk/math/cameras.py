@@ -22,7 +22,7 @@ def camera_centre(view: Float[Tensor, "4 4"], order: MatrixOrder = "column") -> 
 
     A tensor of zeros, which runtimes feed initially, gives the origin.
     """
-    matrix = _matrix(view, order)
+    matrix = _row_major_matrix(view, order)
     rotation, offset = matrix[:3, :3], matrix[:3, 3:4]
     square = (rotation * rotation).sum() / 3
     return -(rotation * offset).sum(dim=0) / square.clamp(min=_SMALLEST_SCALE)
@@ -54,7 +54,7 @@ def frustum_mask(
 
     If all matrices are zero, every Gaussian stays; a NaN position is removed.
     """
-    clip = _matrix(projection, order) @ _matrix(view, order)
+    clip = _row_major_matrix(projection, order) @ _row_major_matrix(view, order)
     x, y, z, w = clip.unbind(dim=0)
     limit = (1 + margin) * w
     planes = torch.stack([limit + x, limit - x, limit + y, limit - y, z, w - z], dim=0)
@@ -74,5 +74,5 @@ def _product_of_columns(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
     return first
 
 
-def _matrix(tensor: Float[Tensor, "4 4"], order: MatrixOrder) -> Float[Tensor, "4 4"]:
+def _row_major_matrix(tensor: Float[Tensor, "4 4"], order: MatrixOrder) -> Float[Tensor, "4 4"]:
     return tensor.transpose(0, 1) if order == "column" else tensor

@@ -53,10 +53,10 @@ def sample_plane(
         raise GeneratorInvalid(message, where="sample_plane")
     _, height, width = plane.shape
     table = plane.permute(1, 2, 0).reshape(height * width, -1)
-    columns, column_weights = _neighbours(
+    columns, column_weights = _neighbouring_texels(
         coordinates[:, 0:1], width, align_corners=align_corners, padding=padding
     )
-    rows, row_weights = _neighbours(
+    rows, row_weights = _neighbouring_texels(
         coordinates[:, 1:2], height, align_corners=align_corners, padding=padding
     )
     texels = (rows * width)[:, :, None] + columns[:, None, :]
@@ -67,7 +67,7 @@ def sample_plane(
     return weighted_corners.sum(dim=1)
 
 
-def _neighbours(
+def _neighbouring_texels(
     coordinate: Float[Tensor, "n 1"], size: int, *, align_corners: bool, padding: Padding
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
     """Return the two neighbouring texels of a coordinate as float indices, and their weights."""

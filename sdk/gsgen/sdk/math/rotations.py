@@ -69,9 +69,9 @@ def matrix_to_quaternion(matrix: Float[Tensor, "... 3 3"]) -> Float[Tensor, "...
     )
     best_form, largest = torch.stack(quaternion_forms[0], dim=-1), squares[0]
     for quaternion_form, square in zip(quaternion_forms[1:], squares[1:], strict=True):
-        is_larger = square > largest
+        larger_mask = square > largest
         best_form = torch.where(
-            is_larger[..., None], torch.stack(quaternion_form, dim=-1), best_form
+            larger_mask[..., None], torch.stack(quaternion_form, dim=-1), best_form
         )
         largest = torch.maximum(square, largest)
     return safe_normalize(best_form)

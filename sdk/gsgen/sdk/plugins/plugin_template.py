@@ -61,7 +61,7 @@ def write_plugin_package(name: str, parent_folder: Path) -> PluginPackage:
         "repository": _repository_url(),
     }
     texts = {
-        _fill_template(where, replacements): _template(source, replacements)
+        _fill_template(where, replacements): _filled_plugin_template(source, replacements)
         for source, where in _TEMPLATE_FILES.items()
     }
     try:
@@ -100,7 +100,7 @@ def _check_name(name: str) -> None:
         raise ConfigInvalid(f"the plugin name {name!r} is {conflict}", where="NAME", hint=hint)
 
 
-def _template(source: str, replacements: dict[str, str]) -> str:
+def _filled_plugin_template(source: str, replacements: dict[str, str]) -> str:
     text = files("gsgen.sdk").joinpath("templates", "plugin", source).read_text("utf-8")
     return _fill_template(text, replacements)
 

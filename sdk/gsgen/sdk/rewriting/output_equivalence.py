@@ -207,9 +207,11 @@ def _require_repeatable_outputs(
 
 def _difference_excess(difference: Difference) -> float:
     """Return an output difference as a multiple of the allowed one; NaN becomes infinite."""
-    is_within = difference.largest <= difference.allowed
+    is_within_tolerance = difference.largest <= difference.allowed
     return (
-        difference.largest / difference.allowed if is_within and difference.allowed > 0 else np.inf
+        difference.largest / difference.allowed
+        if is_within_tolerance and difference.allowed > 0
+        else np.inf
     )
 
 

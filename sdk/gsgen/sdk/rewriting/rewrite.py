@@ -111,7 +111,10 @@ def rewrite_graph(
     rewrites = find_rewrites(rewrite_target, only, skip)
     normalize_model(model)
     changes = _merge_changes(
-        [*_apply_until_stable(model, _bit_exact(rewrites)), *_apply_until_stable(model, rewrites)]
+        [
+            *_apply_until_stable(model, _bit_exact_rewrites(rewrites)),
+            *_apply_until_stable(model, rewrites),
+        ]
     )
     if changes:
         remove_unused(model)
@@ -164,7 +167,7 @@ def rewrite_file(
         )
         normalize_model(model)
         # Step 1: the passes that keep every bit. Step 2: all passes.
-        run.step("exact", _bit_exact(rewrites))
+        run.step("exact", _bit_exact_rewrites(rewrites))
         run.step("all", rewrites)
         progress("checking the rules on the result")
         if run.changes and manifest is not None:
@@ -244,8 +247,8 @@ def _copy_unchanged(source: Path, path: Path, draft: Path, run: _ComparedRun) ->
 def _refuse_invalid_model(report: Report) -> None:
     """Raise if a model's external weights are unsafe to read, or its graph is ill-formed."""
     for finding in report.findings:
-        is_unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
-        if is_unsafe and finding.severity >= Severity.ERROR:
+        is_unsafe_finding = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
+        if is_unsafe_finding and finding.severity >= Severity.ERROR:
             message = f"{finding.rule}: {finding.where}: {finding.message}"
             raise RewriteFailed(message, where=report.path, hint=finding.hint)
 
@@ -286,7 +289,7 @@ def _refused_rewrites(rewrites: Sequence[Rewrite]) -> list[Refusal]:
     ]
 
 
-def _bit_exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
+def _bit_exact_rewrites(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
     return [rewrite for rewrite in rewrites if rewrite.exactness.bits]
 
 

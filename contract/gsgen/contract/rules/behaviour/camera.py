@@ -107,11 +107,11 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
                 is_drawn_elsewhere |= is_same_center & drawn[other_index]
         hidden_rows = is_hidden_in_view & is_drawn_elsewhere
         culled_count = int(np.count_nonzero(hidden_rows))
-        is_significant = culled_count > _MIN_CULLED_SHARE * max(
+        is_culling_significant = culled_count > _MIN_CULLED_SHARE * max(
             int(np.count_nonzero(drawn[index])), 1
         )
         if (
-            is_significant
+            is_culling_significant
             and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BACKGROUND_SHARE
         ):
             actual = (

@@ -215,7 +215,7 @@ def _row_faults(
         read_outputs(subject, vector.inputs, {name: side[name] for name in names if name in side})
         for side in (actual, expected)
     )
-    tolerances = _tolerances(subject, vector)
+    tolerances = _vector_tolerances(subject, vector)
     yield from _field_faults(first, second, tolerances, numbers.get(rows.name, ()), "row")
     if cells is not None and cells.name in actual:
         # A visibility is compared as an opacity.
@@ -248,7 +248,7 @@ def _field_faults(
         )
 
 
-def _tolerances(subject: InspectedModel, vector: TestVector) -> tuple[Tolerance, ...]:
+def _vector_tolerances(subject: InspectedModel, vector: TestVector) -> tuple[Tolerance, ...]:
     """Return tolerances for a test vector: the user's, else the vector's, else the manifest's."""
     vector_tolerances = vector.tolerances
     return tuple(

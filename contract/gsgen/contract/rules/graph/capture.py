@@ -296,7 +296,7 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
 def _does_copy_input(graph: Graph, node: NodeProto) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
-    is_idle = any(
+    is_noop_with_empty_axes = any(
         attribute.name == "noop_with_empty_axes" and attribute.i for attribute in node.attribute
     )
     has_axes_attribute = any(
@@ -310,7 +310,7 @@ def _does_copy_input(graph: Graph, node: NodeProto) -> bool:
     return is_copy(
         node.op_type,
         len(node.input),
-        keeps_all_axes=is_idle and are_axes_empty and not has_axes_attribute,
+        keeps_all_axes=is_noop_with_empty_axes and are_axes_empty and not has_axes_attribute,
     )
 
 

@@ -51,8 +51,10 @@ def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
     """
     for node in _all_nodes(subject):
         if node.op_type in RANDOM_OPERATORS:
-            has_seed = any(attribute.name == "seed" for attribute in node.attribute)
-            actual = "draws on from run to run despite its seed" if has_seed else "no seed"
+            has_seed_attribute = any(attribute.name == "seed" for attribute in node.attribute)
+            actual = (
+                "draws on from run to run despite its seed" if has_seed_attribute else "no seed"
+            )
             yield Violation.at(_location(node), actual, "stored numbers")
 
 

@@ -76,8 +76,8 @@ def time_domain(subject: InspectedModel) -> Iterator[Violation]:
         location = f"manifest input {entry.name}"
         if entry.role == "time" and entry.range is None:
             yield Violation.at(location, "no range", '"range": [first, last]')
-        is_instant = entry.range is not None and entry.range[0] == entry.range[1]
-        if entry.role in ("time", "frame_index") and is_instant:
+        is_single_instant = entry.range is not None and entry.range[0] == entry.range[1]
+        if entry.role in ("time", "frame_index") and is_single_instant:
             yield Violation.at(location, f"range {list(entry.range or ())}", "first < last")
 
 

@@ -211,7 +211,7 @@ def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> str:
     if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _MIN_RANGE_WIDTH:
         return "the sigmoid was applied twice"
     zeros = float((rgb == 0).mean())
-    is_dark = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET
-    if zeros >= _MIN_ZERO_SHARE and is_dark and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
+    is_dark_image = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET
+    if zeros >= _MIN_ZERO_SHARE and is_dark_image and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
         return "0.5 had not been added to 0.2821 · f_dc"
     return ""

@@ -46,10 +46,12 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
     subject, tolerances = behaviour.subject, effective_tolerances(behaviour.subject)
     for role in behaviour.comparisons_by_role:
         indices = behaviour.trial.plan.variants.get(role, (0, ()))[1]
-        has_changed = any(comparison.changed for comparison in behaviour.comparisons_by_role[role])
+        has_input_changed_output = any(
+            comparison.changed for comparison in behaviour.comparisons_by_role[role]
+        )
         entries = [entry for entry, _ in subject.inputs_of(role)]  # none of a single input's key
         depends = subject.generator is not None and any(map(subject.generator.depends, entries))
-        if role in CAMERA_ROLES or not has_changed or not depends:
+        if role in CAMERA_ROLES or not has_input_changed_output or not depends:
             continue
         base = _run_outputs(behaviour, behaviour.base)
         variants = [_run_outputs(behaviour, run) for run in behaviour.runs(indices)]
@@ -79,11 +81,11 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
         ends = [outputs for value, outputs in series if value in (low, high)]
         if len(inner_outputs) < _MIN_INSTANT_COUNT or not ends:
             continue
-        is_still = not any(
+        is_motion_free = not any(
             _do_outputs_differ(inner_outputs[0], outputs, tolerances)
             for outputs in inner_outputs[1:]
         )
-        if is_still and any(
+        if is_motion_free and any(
             _do_outputs_differ(inner_outputs[0], outputs, tolerances) for outputs in ends
         ):
             actual = f"{len(inner_outputs)} instants within {low:g} to {high:g} are the same; only an end differs"

@@ -109,7 +109,7 @@ def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
         return
     actual = (
         f"all off-diagonal entries are 0 in {aligned_share:.0%} of {len(upper)} rows, "
-        f"whose longest axis is {_median(aspect_ratio):.3g} times the shortest"
+        f"whose longest axis is {_median_of_values(aspect_ratio):.3g} times the shortest"
     )
     expected = "rotated covariances, or axes along the surface of the neighbours"
     location = Location(sample.emission.rows_label, "covariance")
@@ -122,5 +122,5 @@ def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
     )
 
 
-def _median(values: Float[np.ndarray, " n"]) -> float:
+def _median_of_values(values: Float[np.ndarray, " n"]) -> float:
     return float(np.median(values))

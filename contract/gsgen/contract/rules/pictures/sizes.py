@@ -106,9 +106,13 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
         actual += ", although they follow the surface or the strand of their neighbours"
     elif _MIN_RATIO <= ratio <= _MAX_RATIO:
         return
-    is_suspected = _MIN_RATIO <= ratio <= _MAX_RATIO  # the limits hold; the shapes tell otherwise
-    low, high = (_SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO) if is_suspected else (_MIN_RATIO, _MAX_RATIO)
-    usual_text = ", as right scenes mostly have" if is_suspected else ""
+    is_ratio_suspected = (
+        _MIN_RATIO <= ratio <= _MAX_RATIO
+    )  # the limits hold; the shapes tell otherwise
+    low, high = (
+        (_SMALL_SIZE_RATIO, _LARGE_SIZE_RATIO) if is_ratio_suspected else (_MIN_RATIO, _MAX_RATIO)
+    )
+    usual_text = ", as right scenes mostly have" if is_ratio_suspected else ""
     expected = f"a size of {low} to {high:g} times the distance to the neighbours{usual_text}"
     location = Location(sample.emission.rows_label, "covariance")
     usual_statistic = Statistic(
@@ -174,5 +178,5 @@ def _may_be_square_roots(sample: DrawnSample) -> bool:
     is_thick = _THICKNESS_RANGE[0] <= thickness <= _THICKNESS_RANGE[1] and (
         sample.is_planar or sample.is_linear
     )
-    is_aligned = not sample.rows[:, [5, 6, 8]].any()
-    return is_thick or (is_aligned and thickness < _MAX_ROUND_THICKNESS)
+    is_axis_aligned = not sample.rows[:, [5, 6, 8]].any()
+    return is_thick or (is_axis_aligned and thickness < _MAX_ROUND_THICKNESS)

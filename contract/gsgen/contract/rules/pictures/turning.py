@@ -104,8 +104,10 @@ def _outputs(subject: InspectedModel, run: ProbeRun) -> ModelOutputs | None:
 def _drawn_mask(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
     assert outputs.gaussians is not None
     rows = outputs.gaussians
-    is_live = np.arange(len(rows)) < outputs.count
-    return np.asarray(is_live & (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows).all(axis=1))
+    live_mask = np.arange(len(rows)) < outputs.count
+    return np.asarray(
+        live_mask & (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows).all(axis=1)
+    )
 
 
 def _rows_drawn_in_both(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
@@ -151,17 +153,17 @@ def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
         turned_away_outputs = _outputs(behaviour.subject, run)
         if base is None or turned_away_outputs is None:
             return
-        in_front_count, behind_count = (
+        count_in_front, behind_count = (
             int(_drawn_mask(base).sum()),
             int(_drawn_mask(turned_away_outputs).sum()),
         )
-        if behind_count >= _MIN_ROWS and in_front_count < behind_count / 2:
+        if behind_count >= _MIN_ROWS and count_in_front < behind_count / 2:
             actual = (
-                f"{in_front_count} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
+                f"{count_in_front} rows are drawn by a camera that looks at the scene, and {behind_count} by one "
                 "that looks away, as if culling took −z for forward"
             )
             usual_statistic = Statistic(
-                "rows ahead over rows behind", in_front_count / behind_count, 0.5
+                "rows ahead over rows behind", count_in_front / behind_count, 0.5
             )
             yield _possible_violation(
                 base.rows_label, "opacity", actual, "rows ahead, along +z", usual_statistic

@@ -51,8 +51,8 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     }
     if any(declarations.values()) and not all(declarations.values()):
         present_text, missing_text = (
-            " and ".join(name for name, value in declarations.items() if value is is_declared)
-            for is_declared in (True, False)
+            " and ".join(name for name, value in declarations.items() if value is is_declared_cells)
+            for is_declared_cells in (True, False)
         )
         yield Violation.at(
             "manifest", f"{present_text} without {missing_text}", "all three, or none"

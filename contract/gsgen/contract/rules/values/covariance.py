@@ -64,16 +64,16 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
     slack, eigenvalue_floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
     has_variances = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
     suspects = np.flatnonzero(rows.drawn & has_variances & ~_psd_mask(rows, slack))
-    is_indefinite = np.zeros(len(rows), bool)
+    indefinite_mask = np.zeros(len(rows), bool)
     min_eigenvalue = np.zeros(len(rows))
     if len(suspects):
         upper = rows.covariance[:, suspects].T.astype(np.float64)
         trace = upper[:, [0, 3, 5]].sum(axis=1)
         min_eigenvalue[suspects] = smallest_eigenvalue(upper)
-        is_indefinite[suspects] = ~(min_eigenvalue[suspects] >= -slack * trace - eigenvalue_floor)
+        indefinite_mask[suspects] = ~(min_eigenvalue[suspects] >= -slack * trace - eigenvalue_floor)
     yield Violation.rows(
         Location(rows.emission.rows_label, "covariance"),
-        is_indefinite,
+        indefinite_mask,
         min_eigenvalue,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=rows.drawn_count,

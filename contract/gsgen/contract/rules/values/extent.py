@@ -87,7 +87,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     epsilon = _FLOAT16_EPSILON if is_half else np.finfo(np.float32).eps
     # With NaN, all rows are checked.
     step_bound = np.square(np.abs(rows.corners).max(initial=0) * epsilon)
-    max_coordinate, is_coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
+    max_coordinate, coarse_mask = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
     small_rows = np.flatnonzero(
         rows.drawn & (rows.max_variance > 0) & ~(rows.max_variance >= step_bound)
     )
@@ -95,11 +95,13 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
         max_position = np.abs(rows.position[:, small_rows]).max(axis=0)
         exponent = np.floor(np.log2(np.maximum(max_position, _SMALLEST_NORMAL)))
         is_step_above_sigma = np.square(np.exp2(exponent) * epsilon) > rows.max_variance[small_rows]
-        is_coarse[small_rows] = is_step_above_sigma & ((max_position < FLOAT16_MAX) | (not is_half))
+        coarse_mask[small_rows] = is_step_above_sigma & (
+            (max_position < FLOAT16_MAX) | (not is_half)
+        )
         max_coordinate[small_rows] = max_position
     yield Violation.rows(
         Location(rows.emission.rows_label, "position"),
-        is_coarse,
+        coarse_mask,
         rows.packed[:, :3],
         "steps below the largest standard deviation",
         checked=rows.drawn_count,

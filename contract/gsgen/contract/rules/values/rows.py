@@ -160,10 +160,10 @@ def float16_saturation(rows: Rows) -> Iterator[Violation]:
 def _saturation_violation(
     rows: Rows, subject: str, max_magnitude: Float[np.ndarray, " n"]
 ) -> Violation:
-    is_saturated = (max_magnitude >= FLOAT16_MAX) & rows.counted & rows.finite
+    saturated_mask = (max_magnitude >= FLOAT16_MAX) & rows.counted & rows.finite
     expected = f"magnitudes below {FLOAT16_MAX:g}"
     return Violation.rows(
-        Location(subject), is_saturated, max_magnitude, expected, checked=rows.live_rows
+        Location(subject), saturated_mask, max_magnitude, expected, checked=rows.live_rows
     )
 
 

@@ -521,14 +521,14 @@ yield py.violation("manifest bounds", "not declared", "min and max corners");
 }
 }
 function* time_domain$declarations(subject) {
-  let entry, is_instant, location;
+  let entry, is_single_instant, location;
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 location = `manifest input ${py.str(entry.name)}`;
 if (((py.eq(entry.role, "time")) && (entry.range == null))) {
 yield py.violation(location, "no range", "\"range\": [first, last]");
 }
-is_instant = py.and((entry.range != null), () => (py.eq(py.item(entry.range, 0), py.item(entry.range, 1))));
-if (((py.contains(["time", "frame_index"], entry.role)) && py.bool(is_instant))) {
+is_single_instant = py.and((entry.range != null), () => (py.eq(py.item(entry.range, 0), py.item(entry.range, 1))));
+if (((py.contains(["time", "frame_index"], entry.role)) && py.bool(is_single_instant))) {
 yield py.violation(location, `range ${py.str(py.list(py.or(entry.range, () => [])))}`, "first < last");
 }
 }
@@ -588,7 +588,7 @@ return;
 }
 declarations = py.dict([["blend: wsr", (py.eq(generator.blend, "wsr"))], ["weighted_sum", (generator.weighted_sum != null)], ["outputs.cells", (generator.outputs.cells != null)]]);
 if ((py.list(declarations.values()).some(py.bool) && !py.list(declarations.values()).every(py.bool))) {
-[present_text, missing_text] = (function* () { for (const is_declared of py.iter([true, false])) yield py.list((function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared)) yield name; })()).join(" and "); })();
+[present_text, missing_text] = (function* () { for (const is_declared_cells of py.iter([true, false])) yield py.list((function* () { for (const [name, value] of py.iter(declarations.entries())) if ((value === is_declared_cells)) yield name; })()).join(" and "); })();
 yield py.violation("manifest", `${py.str(present_text)} without ${py.str(missing_text)}`, "all three, or none");
 }
 }
@@ -1393,11 +1393,11 @@ yield py.violation(_node_location$graph(node), node.op_type, "a graph without co
 }
 }
 function* no_random_operators$repeatability(subject) {
-  let actual, has_seed, node;
+  let actual, has_seed_attribute, node;
 for (node of py.iter(_all_nodes$repeatability(subject))) {
 if ((py.contains(RANDOM_OPERATORS$22, node.op_type))) {
-has_seed = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
-actual = (py.bool(has_seed) ? "draws on from run to run despite its seed" : "no seed");
+has_seed_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
+actual = (py.bool(has_seed_attribute) ? "draws on from run to run despite its seed" : "no seed");
 yield py.violation(_location$repeatability(node), actual, "stored numbers");
 }
 }
@@ -1459,16 +1459,16 @@ yield py.violation(location, actual, "Where or Concat");
 }
 }
 function _does_copy_input$capture(graph, node) {
-  let are_axes_empty, axes, axes_inputs, has_axes_attribute, is_idle;
+  let are_axes_empty, axes, axes_inputs, has_axes_attribute, is_noop_with_empty_axes;
 if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
 return false;
 }
-is_idle = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
+is_noop_with_empty_axes = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
 has_axes_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "axes")), () => attribute.ints); })()).some(py.bool);
 axes_inputs = [...(function* () { for (const name of py.iter(py.slice(node.input, 1, 2))) if (py.bool(name)) yield name; })()];
 axes = (py.bool(axes_inputs) ? py.get(graph.tensors, py.item(axes_inputs, 0)) : null);
 are_axes_empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () => (axes.dims != null), () => (py.contains(axes.dims, 0))));
-return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_idle, () => are_axes_empty, () => !py.bool(has_axes_attribute)));
+return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_noop_with_empty_axes, () => are_axes_empty, () => !py.bool(has_axes_attribute)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
 if ((py.contains(VIEW_OPERATORS$23, operator))) {

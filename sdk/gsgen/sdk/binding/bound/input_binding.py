@@ -63,7 +63,7 @@ class InputBinding:
                 actual = (
                     f"{array.min():g}" if array.size == 1 else f"{array.min():g} … {array.max():g}"
                 )
-                raise self._invalid_error(
+                raise self._invalid_value_error(
                     f"the value is {actual}, expected {limits[0]:g} … {limits[1]:g}"
                 )
         return array.T if self.transposed else array
@@ -77,18 +77,20 @@ class InputBinding:
         try:
             array = np.asarray(value)
         except ValueError as error:  # a list of rows of unequal length
-            raise self._invalid_error(
+            raise self._invalid_value_error(
                 f"the value cannot be converted to an array: {error}"
             ) from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
                 shape, expected = list(array.shape), list(self.shape)
-                raise self._invalid_error(f"the value has shape {shape}, expected shape {expected}")
+                raise self._invalid_value_error(
+                    f"the value has shape {shape}, expected shape {expected}"
+                )
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
-            raise self._invalid_error(f"the value is {array.dtype}, expected {self.dtype}")
+            raise self._invalid_value_error(f"the value is {array.dtype}, expected {self.dtype}")
         return self._convert_to_dtype(array)
 
     def default(self) -> np.ndarray:
@@ -103,12 +105,12 @@ class InputBinding:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):
                 actual = f"{array.min()} … {array.max()}"
-                raise self._invalid_error(
+                raise self._invalid_value_error(
                     f"the value is {actual}, which {self.dtype} cannot represent"
                 )
         return np.asarray(array.astype(self.dtype))
 
-    def _invalid_error(self, message: str) -> InputInvalid:
+    def _invalid_value_error(self, message: str) -> InputInvalid:
         role = f" (role {self.role})" if self.role and self.role != self.name else ""
         return InputInvalid(message, where=f"input {self.name}{role}")
 

@@ -150,9 +150,11 @@ class _ChildProcess:
 
     def may_open(self, file: ModelFile, *, needs_gpu: bool) -> bool:
         """Return whether the process may read a model's files, and still runs."""
-        is_allowed = self._has_gpu or not needs_gpu
+        is_gpu_use_allowed = self._has_gpu or not needs_gpu
         return (
-            self.is_running and is_allowed and self._readable_files.issuperset(loaded_files(file))
+            self.is_running
+            and is_gpu_use_allowed
+            and self._readable_files.issuperset(loaded_files(file))
         )
 
     def channel(self, file: ModelFile, request: Message, *, is_last: bool = False) -> "Channel":
@@ -226,10 +228,10 @@ class _ChildProcess:
             lines = log.strip().splitlines()[-1:] or [f"exit status {status}"]
             return HostProcessFailed(f"the process for models does not start: {lines[0][:300]}")
         death = classify_child_end(status, log, self.limits)
-        is_of_host = death.stage == "host"
+        is_host_fault = death.stage == "host"
         if death.stage in ("memory", "crash"):
-            is_of_host = inherited_memory_limit() < self.limits.memory
-        kind = HostProcessFailed if is_of_host else RunFailed
+            is_host_fault = inherited_memory_limit() < self.limits.memory
+        kind = HostProcessFailed if is_host_fault else RunFailed
         return kind(f"the process that runs the model ended: {death.message}", where=where)
 
 

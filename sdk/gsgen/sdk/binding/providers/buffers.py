@@ -93,9 +93,9 @@ class HostBuffer(Buffer):
 
     def write(self, array: np.ndarray) -> bool:
         """Copy an array into the tensor's host memory."""
-        is_changed = not same_bits(self._array, array)
+        is_input_changed = not same_bits(self._array, array)
         self._array[...] = array
-        return is_changed
+        return is_input_changed
 
     def read(self) -> np.ndarray:
         """Return the tensor's host memory as an array, without a copy."""

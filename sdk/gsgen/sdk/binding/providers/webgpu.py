@@ -61,7 +61,7 @@ def find_adapter() -> Adapter:
     if not hasattr(onnxruntime, "register_execution_provider_library"):
         message = f"onnxruntime {onnxruntime.__version__} does not support plug-in providers"
         raise AdapterMissing(message, "pip install -U onnxruntime")
-    _register(provider.get_library_path())
+    _register_webgpu_plugin(provider.get_library_path())
     name = provider.get_ep_name()
     devices = [candidate for candidate in onnxruntime.get_ep_devices() if candidate.ep_name == name]
     if not devices:
@@ -77,7 +77,7 @@ def find_adapter() -> Adapter:
     )
 
 
-def _register(library: str) -> None:
+def _register_webgpu_plugin(library: str) -> None:
     global _is_plugin_registered
     import onnxruntime
 

@@ -143,8 +143,8 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
             nn.Parameter, self._tensor_without_gradient, (args, kwargs or {})
         )
         tensors = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
-        is_reached = any(_storage(tensor) in self._reached_tensors for tensor in tensors)
-        if not is_reached and self._count not in self._known_written_tensors:
+        is_tensor_reached = any(_storage(tensor) in self._reached_tensors for tensor in tensors)
+        if not is_tensor_reached and self._count not in self._known_written_tensors:
             self.computed += 1
             with disable_proxy_modes_tracing():
                 result = func(*args, **kwargs)
@@ -152,10 +152,10 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
                 self._maker_by_storage.setdefault(_storage(tensor), (self._count, tensor))
             return result
         args = self._replace_masks_by_indices(func, args)
-        if is_reached and _is_masked_write(func, args):
+        if is_tensor_reached and _is_masked_write(func, args):
             result = _write_values_by_mask(func, args)
         else:
-            if is_reached:
+            if is_tensor_reached:
                 _refuse_values(func, args)
             result = func(*_with_float_bounds(func, args), **kwargs)
         for tensor in (*_tensors(result), *_changed_tensors(func, args, kwargs)):

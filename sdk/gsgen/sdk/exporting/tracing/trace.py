@@ -237,7 +237,7 @@ def _export_error(name: str, error: BaseException, hazards: Sequence[Hazard]) ->
 _OPSET18: Any = opset18
 
 
-def _searchsorted(
+def _translate_searchsorted(
     boundaries: Any, values: Any, *, right: bool = False, side: str | None = None, **_: Any
 ) -> Any:
     """Translate searchsorted to float32 counts of boundaries; WebGPU cannot sum int64."""
@@ -262,6 +262,6 @@ def _translate_prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
 
 # ONNX forms of torch operators that torch's own exporter does not translate.
 _OPERATOR_TRANSLATIONS: dict[Callable[..., Any], Callable[..., Any]] = {
-    torch.ops.aten.searchsorted.Tensor: _searchsorted,
+    torch.ops.aten.searchsorted.Tensor: _translate_searchsorted,
     torch.ops.prims.prod.default: _translate_prod,
 }

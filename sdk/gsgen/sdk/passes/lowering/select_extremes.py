@@ -71,8 +71,8 @@ def _write_elementwise_extreme(
     extreme_value = _replace_beyond_bound(write, "Less" if kind == "Max" else "Greater", a, b)
     if not (b.dtype is not None and b.dtype.is_floating_point()) or _is_finite(b):
         return extreme_value
-    is_not_nan = write.op("Equal", b, b, dtype=ir.DataType.BOOL)
-    return write.op("Where", is_not_nan, extreme_value, b, dtype=b.dtype)
+    not_nan_mask = write.op("Equal", b, b, dtype=ir.DataType.BOOL)
+    return write.op("Where", not_nan_mask, extreme_value, b, dtype=b.dtype)
 
 
 def _replace_beyond_bound(

@@ -197,11 +197,11 @@ def _unroll_scan_node(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
                     "Gather",
                     value,
                     before.constant(
-                        np.asarray(iterations - 1 - turn if is_backward else turn, np.int64)
+                        np.asarray(iterations - 1 - turn if is_backward_scan else turn, np.int64)
                     ),
                     axis=axis,
                 )
-                for value, axis, is_backward in zip(
+                for value, axis, is_backward_scan in zip(
                     node.inputs[carried_value_count:], scan_input_axes, backward_flags, strict=True
                 )
             ]
@@ -212,8 +212,8 @@ def _unroll_scan_node(node: ir.Node, rewrite: UnrollControlFlow) -> UnrollPlan:
             ):
                 results_list.append(value)
         joined_values = [
-            _stack_values(before, results_list[::-1] if is_backward else results_list, axis)
-            for results_list, axis, is_backward in zip(
+            _stack_values(before, results_list[::-1] if is_backward_scan else results_list, axis)
+            for results_list, axis, is_backward_scan in zip(
                 stacked_results, scan_output_axes, prepended_flags, strict=True
             )
         ]

@@ -77,9 +77,9 @@ def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.V
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
     remainder = write.op("Sub", size, write.op("Mul", count, step))
-    is_too_small = write.op("Less", remainder, step, dtype=ir.DataType.BOOL)
+    is_remainder_too_small = write.op("Less", remainder, step, dtype=ir.DataType.BOOL)
     remainder = write.op(
-        "Where", is_too_small, remainder, write.op("Sub", remainder, step), dtype=x.dtype
+        "Where", is_remainder_too_small, remainder, write.op("Sub", remainder, step), dtype=x.dtype
     )
     is_negative = write.op("Less", remainder, zero, dtype=ir.DataType.BOOL)
     remainder = write.op(

@@ -138,7 +138,7 @@ def _compute_elementwise(
     arrays = [
         np.full(trailing_shape, None, object)
         if value is None
-        else np.broadcast_to(_operand(value, shape, rows, lookup), trailing_shape)
+        else np.broadcast_to(_columns_of_operand(value, shape, rows, lookup), trailing_shape)
         for value in inputs
     ]
     attributes = attribute_values(node)
@@ -152,7 +152,9 @@ def _compute_elementwise(
     return results
 
 
-def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnLookup) -> Columns:
+def _columns_of_operand(
+    value: ir.Value, shape: tuple[int, ...], rows: int, lookup: ColumnLookup
+) -> Columns:
     value_shape = required(fixed_shape(value))
     if len(value_shape) == len(shape) and value_shape and value_shape[0] == rows:
         return lookup(value)

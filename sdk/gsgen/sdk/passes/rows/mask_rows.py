@@ -174,9 +174,9 @@ class _MaskingAttempt:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        is_filled = any(isinstance(fact, PaddingRowsFact | Linear) for fact in facts[1:])
+        is_padding_filled = any(isinstance(fact, PaddingRowsFact | Linear) for fact in facts[1:])
         if (
-            is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_filled
+            is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_padding_filled
         ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows

@@ -70,10 +70,10 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
         # Case 2: the only column (or row): torch separates indices by axes in this way.
         axes = constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
         start = constant_of(node.inputs[1])
-        is_single = (
+        is_single_index = (
             axes is not None and axes.size == 1 and int(axes[0]) % 2 == _axis_of_size_one(index)
         )
-        return index if is_single and start is not None and not start.any() else None
+        return index if is_single_index and start is not None and not start.any() else None
     rank = rank_of(node.outputs[0])
     if is_op(node, "Squeeze", "Reshape", "Expand") and rank == 1:
         return Index(index.mask, "flat")  # Case 3: K numbers of any layout

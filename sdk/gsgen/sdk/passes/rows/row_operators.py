@@ -47,7 +47,7 @@ def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | No
     if is_op(node, "MatMul", "Gemm"):
         return _matrix_product(node, facts, draft)
     if is_op(node, "Einsum"):
-        return _einsum(node, facts, draft)
+        return _mask_einsum(node, facts, draft)
     rows = facts[0]
     if not isinstance(rows, Rows) or any(isinstance(fact, Rows) for fact in facts[1:]):
         return None
@@ -55,7 +55,7 @@ def propagate_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | No
     return None if row_rule is None else row_rule(node, rows, facts, draft)
 
 
-def _draft_on_all_rows(
+def _copy_for_all_rows(
     node: ir.Node, inputs: Sequence[ir.Value | None], axis: int, rows: Rows, draft: RowDraft
 ) -> Rows | None:
     """Create a copy of a node that computes all N rows instead of the K rows a mask selects."""
@@ -111,7 +111,7 @@ def _mask_elementwise(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows |
         known = constant_of(node.inputs[1])
         if known is None or not known.all():
             return None
-    return _draft_on_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
+    return _copy_for_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
 
 
 def _mask_concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -122,7 +122,7 @@ def _mask_concat(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None
     is_compatible = all(isinstance(fact, Rows) and fact.axis == rows.axis for fact in facts)
     if axis == rows.axis or not is_compatible:
         return None
-    return _draft_on_all_rows(node, _inputs_with_all_rows(node, facts), rows.axis, rows, draft)
+    return _copy_for_all_rows(node, _inputs_with_all_rows(node, facts), rows.axis, rows, draft)
 
 
 def _matrix_product(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -133,7 +133,7 @@ def _matrix_product(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | N
     row_axis = _gemm_row_axis(node, facts) if is_op(node, "Gemm") else _matmul_row_axis(node, facts)
     if row_axis is None:
         return None
-    return _draft_on_all_rows(
+    return _copy_for_all_rows(
         node, _inputs_with_all_rows(node, facts), row_axis, row_facts[0], draft
     )
 
@@ -178,7 +178,7 @@ def _matmul_row_axis(node: ir.Node, facts: RowFacts) -> int | None:
     return result_rank + axis
 
 
-def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
+def _mask_einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     """Create an Einsum on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     input_terms, arrow_token, output_term = (
@@ -203,10 +203,12 @@ def _einsum(node: ir.Node, facts: RowFacts, draft: RowDraft) -> Rows | None:
     ):
         return None
     (letter,) = einsum_letters
-    is_used_once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
-    if not is_used_once or letter in other_letters:
+    is_letter_used_once = (
+        all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
+    )
+    if not is_letter_used_once or letter in other_letters:
         return None
-    return _draft_on_all_rows(
+    return _copy_for_all_rows(
         node, _inputs_with_all_rows(node, facts), output_term.index(letter), row_facts[0], draft
     )
 
@@ -226,7 +228,7 @@ def _mask_slice(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> 
     for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
         if axis == rows.axis and not (start == 0 and end >= UNBOUNDED_END and step == 1):
             return None
-    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
+    return _copy_for_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
 
 
 def _mask_gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -236,7 +238,7 @@ def _mask_gather(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) ->
     if axis == rows.axis or index is None or facts[1] is not None:
         return None
     row_axis = rows.axis + (index - 1 if axis < rows.axis else 0)
-    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _copy_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def axes_of(node: ir.Node) -> list[int] | None:
@@ -257,7 +259,7 @@ def _mask_reduce(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) ->
     removed_axes = (
         0 if int_attribute(node, "keepdims", 1) else sum(p < rows.axis for p in reduced_axes)
     )
-    return _draft_on_all_rows(
+    return _copy_for_all_rows(
         node, [rows.value, *node.inputs[1:]], rows.axis - removed_axes, rows, draft
     )
 
@@ -273,7 +275,7 @@ def _mask_along_axis(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft
         return None
     does_drop_axis = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
     row_axis = rows.axis - (1 if does_drop_axis and axis < rows.axis else 0)
-    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _copy_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _mask_squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -281,7 +283,7 @@ def _mask_squeeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
     row_axis = rows.axis - sum(axis % rank < rows.axis for axis in axes)
-    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _copy_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _mask_unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -290,14 +292,14 @@ def _mask_unsqueeze(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft)
         return None
     bias = {axis % rank for axis in axes}
     row_axis = [axis for axis in range(rank) if axis not in bias][rows.axis]
-    return _draft_on_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
+    return _copy_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def _mask_transpose(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     order = node.attributes.get("perm")
     axes = list(range(rank))[::-1] if order is None else list(order.as_ints())
-    return _draft_on_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
+    return _copy_for_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
 
 
 def _mask_reshape(node: ir.Node, rows: Rows, facts: RowFacts, draft: RowDraft) -> Rows | None:
@@ -325,8 +327,8 @@ def _target_shape(node: ir.Node, facts: RowFacts) -> list[int] | None:
     """Return the target shape of a Reshape, with −1 for the axis of the rows; None if unknown."""
     target = facts[1] if len(facts) > 1 else None
     if isinstance(target, Linear):
-        is_leading_one = target.factor[:1].tolist() == [1] and target.constant[0] == 0
-        if not is_leading_one or target.factor[1:].any():
+        is_leading_dim_one = target.factor[:1].tolist() == [1] and target.constant[0] == 0
+        if not is_leading_dim_one or target.factor[1:].any():
             return None
         return [-1, *(int(size) for size in target.constant[1:])]
     known = constant_of(node.inputs[1])

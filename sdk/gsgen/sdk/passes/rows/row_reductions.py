@@ -50,10 +50,10 @@ def scatter_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | 
         return None
     if list(updates) != [mask.size, *row_shape]:
         return None
-    all_rows = draft.reshaped(rows.value, shape)
+    all_rows_output = draft.reshaped(rows.value, shape)
     row_mask = draft.boolean_mask(mask)
     row_mask = draft.reshaped(row_mask, [*mask.dims, *[1] * (len(shape) - len(mask.dims))])
-    return draft.op("Where", row_mask, all_rows, data, dtype=data.dtype, shape=shape)
+    return draft.op("Where", row_mask, all_rows_output, data, dtype=data.dtype, shape=shape)
 
 
 def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
@@ -68,9 +68,9 @@ def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | N
     kind = node.outputs[0].dtype
     if not isinstance(rows, Rows) or shape is None or rows.flat or not axes or kind is None:
         return None
-    is_exact = is_op(node, "ReduceSum") or kind in FLOAT_TYPES
+    is_exact_sum = is_op(node, "ReduceSum") or kind in FLOAT_TYPES
     reduced_axes = {axis % len(shape) for axis in axes}
-    if not is_exact or rows.axis not in reduced_axes:
+    if not is_exact_sum or rows.axis not in reduced_axes:
         return None
     dims = [1] * len(shape)
     dims[rows.axis] = rows.mask.size

@@ -101,8 +101,12 @@ def _rows(node: ir.Node) -> int | None:
     if None in shapes or len(rows) != 1:
         return None
     (count,) = rows
-    is_narrow = all(shape and prod(shape[1:]) <= _MAX_COLUMN_COUNT for shape in shapes)
-    return count if count >= _MIN_ROWS and is_narrow and works_on_columns(node, count) else None
+    are_shapes_narrow = all(shape and prod(shape[1:]) <= _MAX_COLUMN_COUNT for shape in shapes)
+    return (
+        count
+        if count >= _MIN_ROWS and are_shapes_narrow and works_on_columns(node, count)
+        else None
+    )
 
 
 class _ColumnPlan:
@@ -295,7 +299,7 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
 
 def _split_column_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
     """Return how many leading columns are outputs of the same Split, and the Split's input."""
-    sources = [_reshape_source(column) for column in columns]
+    sources = [_source_before_reshape(column) for column in columns]
     source_node = sources[0].producer() if sources[0] is not None else None
     if source_node is None or not is_op(source_node, "Split"):
         return 1, None
@@ -307,7 +311,7 @@ def _split_column_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
     )
 
 
-def _reshape_source(column: ir.Value) -> ir.Value | None:
+def _source_before_reshape(column: ir.Value) -> ir.Value | None:
     source_node = column.producer()
     return (
         source_node.inputs[0] if source_node is not None and is_op(source_node, "Reshape") else None

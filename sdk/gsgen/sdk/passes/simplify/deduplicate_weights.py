@@ -48,7 +48,7 @@ class DeduplicateWeights(SkippableRewrite):
                 self.note(value)
                 del graph.initializers[name]
         for node in graph:
-            for body in _subgraphs(node):
+            for body in _subgraphs_of_node(node):
                 self._share_weights(body, known.new_child())
 
     def _can_merge(self, value: ir.Value) -> bool:
@@ -84,7 +84,7 @@ def _weight_key(value: ir.Value) -> Hashable:
     return None if tensor is None else (tensor.dtype, tuple(tensor.shape.numpy()))
 
 
-def _subgraphs(node: ir.Node) -> Iterator[ir.Graph]:
+def _subgraphs_of_node(node: ir.Node) -> Iterator[ir.Graph]:
     for attribute in node.attributes.values():
         if attribute.type == ir.AttributeType.GRAPH:
             yield attribute.as_graph()

@@ -57,7 +57,7 @@ class FoldShapes(SkippableRewrite):
         if node.domain not in MAIN_DOMAIN or is_op(node, "Constant"):
             return None
         if is_op(node, "Shape", "Size"):
-            return _shape_of(node)
+            return _known_shape_of_input(node)
         part = _selected_dimensions(node)
         if part is not None:
             return part
@@ -77,7 +77,7 @@ class FoldShapes(SkippableRewrite):
         return result if result is not None and result.size <= largest else None
 
 
-def _shape_of(node: ir.Node) -> np.ndarray | None:
+def _known_shape_of_input(node: ir.Node) -> np.ndarray | None:
     value = node.inputs[0]
     if is_op(node, "Size"):
         dims = fixed_shape(value)

@@ -24,15 +24,18 @@ class MergeTransposes(NodeRewrite):
         """Return whether a node transposes the output of another Transpose."""
         if not is_op(node, "Transpose") or node.inputs[0] is None:
             return False
-        return is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None
+        return (
+            is_op(node.inputs[0].producer(), "Transpose")
+            and _permutation_of_transpose(node) is not None
+        )
 
     def replace(self, node: ir.Node) -> None:
         """Transpose the input of two Transposes by their composed permutation."""
         inner_transpose = required(
             node.inputs[0].producer() if node.inputs[0] is not None else None
         )
-        outer_permutation = required(_permutation(node))
-        first = required(_permutation(inner_transpose))
+        outer_permutation = required(_permutation_of_transpose(node))
+        first = required(_permutation_of_transpose(inner_transpose))
         x = required(inner_transpose.inputs[0])
         perm, write = [first[axis] for axis in outer_permutation], InsertionPoint(node)
         if perm == sorted(perm):
@@ -41,7 +44,7 @@ class MergeTransposes(NodeRewrite):
         write.replace(write.op("Transpose", x, perm=perm))
 
 
-def _permutation(node: ir.Node) -> list[int] | None:
+def _permutation_of_transpose(node: ir.Node) -> list[int] | None:
     attribute = node.attributes.get("perm")
     if attribute is not None:
         return list(attribute.as_ints())

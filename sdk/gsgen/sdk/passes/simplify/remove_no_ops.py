@@ -40,15 +40,15 @@ class RemoveNoOps(NodeRewrite):
         if any(output.is_graph_output() for output in node.outputs[1:]):
             return False
         producer = x.producer()
-        is_own_graph = producer is not None and producer.graph is node.graph
-        if node.outputs[0].is_graph_output() and (not is_own_graph or x.is_graph_output()):
+        is_in_own_graph = producer is not None and producer.graph is node.graph
+        if node.outputs[0].is_graph_output() and (not is_in_own_graph or x.is_graph_output()):
             return False
-        return _unchanged_argument(node) is not None
+        return _unchanged_operand(node) is not None
 
     def replace(self, node: ir.Node) -> None:
         """Replace the output of a removed operator by the unchanged input."""
         argument = required(
-            _unchanged_argument(node)
+            _unchanged_operand(node)
         )  # not stored: another replacement may have changed it
         write = InsertionPoint(node)
         for unused_output in node.outputs[1:]:
@@ -57,7 +57,7 @@ class RemoveNoOps(NodeRewrite):
         write.replace(argument)
 
 
-def _unchanged_argument(node: ir.Node) -> ir.Value | None:
+def _unchanged_operand(node: ir.Node) -> ir.Value | None:
     """Return the input that a node returns unchanged; None if the node changes all inputs."""
     x = node.inputs[0]
     if x is None:
@@ -100,11 +100,11 @@ def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
     shape = fixed_shape(node.outputs[0])
     for operand, neutral_number in pairs:
         number = constant_of(neutral_number)
-        is_neutral = number is not None and bool(
+        is_neutral_operand = number is not None and bool(
             (number == _NEUTRAL_BY_OPERATOR[node.op_type]).all()
         )
         if (
-            is_neutral
+            is_neutral_operand
             and number is not None
             and number.size
             and shape == fixed_shape(operand) is not None
