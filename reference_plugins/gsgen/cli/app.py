@@ -34,7 +34,7 @@ def main() -> None:
 def _run_until_interrupt() -> None:
     try:
         with end_on_interrupt() as interrupts:
-            _run()
+            _run_command()
     except KeyboardInterrupt:
         sys.exit(interrupts.exit_code)
     except SystemExit as system_exit:
@@ -47,7 +47,7 @@ def _run_until_interrupt() -> None:
         remove_own_drafts()  # for a second Ctrl-C, which stops the removal after the first
 
 
-def _run() -> None:
+def _run_command() -> None:
     gc.set_threshold(_COLLECTION_THRESHOLD)  # imports create many objects and hardly any garbage
     atexit.register(gc.freeze)  # so that the interpreter's last collection has nothing to visit
     arguments = sys.argv[1:]
@@ -62,14 +62,14 @@ def _run() -> None:
     except GsgenError as error:
         _exit_with_error(error)
     except BrokenPipeError:
-        _end_at_closed_pipe()
+        _exit_at_closed_pipe()
     except OSError as error:
         _fail_at_system(error)
     except UnicodeEncodeError as error:
-        _fail_at_text(error)
+        _fail_unencodable_text(error)
     except SystemExit as system_exit:
         if isinstance(system_exit.__context__, BrokenPipeError):
-            _end_at_closed_pipe()  # click and rich would exit with 1, as if a model were invalid
+            _exit_at_closed_pipe()  # click and rich would exit with 1, as if a model were invalid
         raise
     except KeyboardInterrupt:
         raise
@@ -123,7 +123,7 @@ def _dispatch_command(arguments: list[str]) -> None:
     build()(arguments, prog_name="gsgen")
 
 
-def _end_at_closed_pipe() -> Never:
+def _exit_at_closed_pipe() -> Never:
     """End silently where the reader closed the pipe: `gsgen rules | head`."""
     sys.stderr.close()  # to which the interpreter would report that stdout cannot be flushed
     sys.exit(ExitCode.USAGE)
@@ -142,7 +142,7 @@ def _fail_at_system(error: OSError) -> Never:
     _exit_after_crash()
 
 
-def _fail_at_text(error: UnicodeEncodeError) -> Never:
+def _fail_unencodable_text(error: UnicodeEncodeError) -> Never:
     """Report a file name whose bytes are not UTF-8, which libraries and formats cannot take."""
     text = error.object[error.start : error.end]
     if not all("\udc80" <= character <= "\udcff" for character in text):

@@ -36,11 +36,11 @@ def build() -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback()(_root)
+    app.callback()(_root_command)
     return app
 
 
-def _root() -> None:
+def _root_command() -> None:
     pass
 
 

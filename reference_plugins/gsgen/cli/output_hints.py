@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 # Command → suffix of its usual output, and the suffixes of outputs typed without -o.
-_SUFFIXES: Final = {
+_OUTPUT_SUFFIXES: Final = {
     "render": (".png", (".png", ".jpg", ".jpeg", ".webp", ".exr", ".gif", ".mp4")),
     "bake": (".ply", (".ply",)),
 }
@@ -23,15 +23,15 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
         values: The values of its options and arguments.
     """
     files = [str(value) for value in _flatten_values(values) if str(value) in words]
-    if command not in _SUFFIXES or not files:
+    if command not in _OUTPUT_SUFFIXES or not files:
         return ""
-    suffix, output_suffixes = _SUFFIXES[command]
+    suffix, output_suffixes = _OUTPUT_SUFFIXES[command]
     last_file, remaining_words = files[-1], list(words)
     is_output = len(files) > 1 and Path(last_file).suffix.lower() in output_suffixes
     if is_output and not Path(last_file).exists():
         remaining_words.remove(last_file)
-        return _hint(command, remaining_words, last_file)
-    return _hint(command, remaining_words, f"{Path(files[0]).stem or command}{suffix}")
+        return _output_hint(command, remaining_words, last_file)
+    return _output_hint(command, remaining_words, f"{Path(files[0]).stem or command}{suffix}")
 
 
 def _flatten_values(values: Mapping[str, Any]) -> list[Any]:
@@ -40,5 +40,5 @@ def _flatten_values(values: Mapping[str, Any]) -> list[Any]:
     return [entries] if isinstance(entries, str) else list(entries)
 
 
-def _hint(command: str, words: Sequence[str], output: str) -> str:
+def _output_hint(command: str, words: Sequence[str], output: str) -> str:
     return f"Type `{shlex.join(['gsgen', command, *words, '-o', output])}`."

@@ -32,15 +32,15 @@ def print_help() -> None:
     width = max(len(command.name) for panel in commands.values() for command in panel)
     console.print(Padding(Text("Usage: gsgen [OPTIONS] COMMAND [ARGS]...", "bold"), 1))
     console.print(Padding(Text(_HELP_SUMMARY), (0, 1, 1, 1)))
-    console.print(_panel("Options", _ROOT_OPTIONS))
+    console.print(_help_panel("Options", _ROOT_OPTIONS))
     for title, panel in commands.items():
         rows = ((command.name, command.summary) for command in panel)
-        console.print(_panel(title, rows, width))
+        console.print(_help_panel(title, rows, width))
     if note := missing_note(command for panel in commands.values() for command in panel):
         console.print(Padding(Text(printable(note)), 1))
 
 
-def _panel(title: str, rows: Iterable[tuple[str, str]], width: int | None = None) -> Panel:
+def _help_panel(title: str, rows: Iterable[tuple[str, str]], width: int | None = None) -> Panel:
     """Return a frame with a heading around rows of two columns: names, and what they mean."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="bold cyan", no_wrap=True, min_width=width)

@@ -50,7 +50,7 @@ class SafeStream:
 
     def __init__(self, stream: TextIO) -> None:
         self.unescaped = stream
-        self._line = ""  # the current line; of a long one, its last characters
+        self._current_line = ""  # the current line; of a long one, its last characters
         self._has_colours = stream.isatty() or any(map(os.environ.get, _COLOUR_VARIABLES))
 
     def write(self, text: str) -> int:
@@ -64,15 +64,15 @@ class SafeStream:
     def _escape_text(self, text: str) -> str:
         first = text[:1]
         # A command of GitHub may come in pieces: `:` and `:`, or `##` and `[`.
-        completes_command = (first == ":" and self._line.strip() == ":") or (
-            f"{self._line[-2:]}{text[:2]}".find("##[") in (0, 1)
+        completes_command = (first == ":" and self._current_line.strip() == ":") or (
+            f"{self._current_line[-2:]}{text[:2]}".find("##[") in (0, 1)
         )
         prefix = f"\\x{ord(first):x}" if completes_command else ""
         remainder = text[1:] if completes_command else text
-        starts_line = not self._line.strip() and not prefix
+        starts_line = not self._current_line.strip() and not prefix
         safe_text = prefix + for_terminal(remainder, starts_line=starts_line)
-        line = f"{self._line}{text}".rpartition("\n")[2]
-        self._line = line if line.strip() in ("", ":") else f"…{line[-2:]}"
+        line = f"{self._current_line}{text}".rpartition("\n")[2]
+        self._current_line = line if line.strip() in ("", ":") else f"…{line[-2:]}"
         return safe_text
 
     def writelines(self, lines: Iterable[str]) -> None:

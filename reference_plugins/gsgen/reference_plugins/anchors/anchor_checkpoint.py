@@ -196,7 +196,7 @@ def read_nets(
     With ``direction`` 0, the networks do not depend on the direction of the camera.
     """
     iteration_folder, cfg = run.files, run.cfg
-    states = _states(iteration_folder)
+    states = _read_states(iteration_folder)
     path, state = states.get("embedding", (iteration_folder, {}))
     embedding = _embedding(path, state, cfg) if state else None
     appearance = cfg.integer("appearance_dim", 0) if cfg.file_exists else 0
@@ -214,7 +214,9 @@ def read_nets(
         octree=octree,
         direction=direction,
     )
-    heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _OUTPUT_CHANNELS}
+    heads = {
+        name: _read_head(name, states, iteration_folder, cfg, sizes) for name in _OUTPUT_CHANNELS
+    }
     feature_bank = (
         _read_feature_bank(states, iteration_folder, sizes)
         if _has_feature_bank(states, iteration_folder, cfg)
@@ -234,7 +236,7 @@ NetworkStates = Mapping[str, tuple[Path, Mapping[str, Any]]]
 """Network → its file and state dict."""
 
 
-def _states(iteration_folder: Path) -> NetworkStates:
+def _read_states(iteration_folder: Path) -> NetworkStates:
     """Read the state dict of each network of an anchor-based method, from one file or several."""
     for combined_file in (
         iteration_folder / name for name in _COMBINED_FILES if (iteration_folder / name).is_file()
@@ -262,7 +264,7 @@ def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
     return require_tensors(path, state, {"embedding.weight": (None, length)})["embedding.weight"]
 
 
-def _head(
+def _read_head(
     name: str, states: NetworkStates, iteration_folder: Path, cfg: CfgArgs, sizes: _NetworkSizes
 ) -> Mlp:
     if name not in states:
@@ -277,7 +279,7 @@ def _head(
     else:  # older code writes no flag; the number of inputs tells
         weight = state.get("0.weight")
         distance = isinstance(weight, Tensor) and weight.shape[-1] == input_size + 1
-    return _mlp(
+    return _read_mlp(
         path,
         state,
         input_size + distance,
@@ -308,10 +310,12 @@ def _read_feature_bank(states: NetworkStates, iteration_folder: Path, sizes: _Ne
         message = f"feat_dim is {sizes.width}, expected a multiple of 4 for a feature bank"
         raise CheckpointInvalid(message, where=str(iteration_folder))
     level_count = int(sizes.level) if sizes.octree else 1
-    return _mlp(path, state, _DIRECTION_SIZE + level_count, sizes, 3, distance=not sizes.octree)
+    return _read_mlp(
+        path, state, _DIRECTION_SIZE + level_count, sizes, 3, distance=not sizes.octree
+    )
 
 
-def _mlp(
+def _read_mlp(
     path: Path,
     state: Mapping[str, Any],
     inputs: int,

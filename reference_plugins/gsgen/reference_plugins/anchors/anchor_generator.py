@@ -123,7 +123,7 @@ class AnchorGenerator(GaussianGenerator):
             table if rows is None else torch.index_select(table, 0, rows)
             for table in (self.anchor, self.scale, self.placements()[0])
         )
-        views = _views(anchor, centre, extra_inputs, self.heads.appearances)
+        views = _anchor_views(anchor, centre, extra_inputs, self.heads.appearances)
         decoded = self.heads(views, rows)
         frame = DecodedFrame(
             camera=camera,
@@ -183,7 +183,7 @@ class AnchorGenerator(GaussianGenerator):
         """Return the visibility of each anchor from a camera centre, 0 to 1; None if all are 1."""
 
 
-def _views(
+def _anchor_views(
     anchor: Float[Tensor, "n 3"],
     centre: Float[Tensor, "1 3"],
     extra_inputs: tuple[Tensor, ...],

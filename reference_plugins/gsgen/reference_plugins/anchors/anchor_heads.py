@@ -86,9 +86,9 @@ class AnchorHeads(nn.Module):
         self.register_buffer("feature", cloud.feature)
         level = cloud.level[:, None] if nets.level and cloud.level is not None else None
         self.register_buffer("level", level)
-        self.opacity = self._layers(nets.opacity)
-        self.covariance = self._layers(nets.covariance, _COVARIANCE_CHANNELS)
-        self.color = self._layers(nets.color)
+        self.opacity = self._make_layers(nets.opacity)
+        self.covariance = self._make_layers(nets.covariance, _COVARIANCE_CHANNELS)
+        self.color = self._make_layers(nets.color)
         feature_bank = nets.feature_bank
         self.feature_bank = (
             _Layers(feature_bank.hidden, feature_bank, 1) if feature_bank is not None else None
@@ -103,7 +103,7 @@ class AnchorHeads(nn.Module):
             return 0
         return int(appearance_bias.shape[0])
 
-    def _layers(self, mlp: Mlp, parts: int = 1) -> _Layers:
+    def _make_layers(self, mlp: Mlp, parts: int = 1) -> _Layers:
         hidden = [mlp.hidden[:, : self.width + 3]]
         start = self.width + 3
         if self.distance:

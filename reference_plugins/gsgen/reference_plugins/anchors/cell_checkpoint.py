@@ -81,7 +81,7 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     cloud = _cloud(columns)
     require_sizes(cfg, cloud, ply)
     visibility = torch.cat([columns["constant"], columns["rest"]], dim=1)
-    expected = (cfg.integer("max_sh_degree", _degree(visibility, ply)) + 1) ** 2
+    expected = (cfg.integer("max_sh_degree", _visibility_degree(visibility, ply)) + 1) ** 2
     if expected != visibility.shape[1]:
         message = (
             f"max_sh_degree is {cfg.values['max_sh_degree']}, which needs {expected - 1} "
@@ -89,7 +89,9 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
         )
         raise CheckpointInvalid(message, where=str(cfg.path))
     anchors = AnchorCheckpoint(run, cloud, read_nets(run, cloud, octree=True))
-    return CellCheckpoint(anchors, visibility, _weighting(columns["info"].reshape(-1), cfg, ply))
+    return CellCheckpoint(
+        anchors, visibility, _cell_weighting(columns["info"].reshape(-1), cfg, ply)
+    )
 
 
 def _columns(path: Path) -> dict[str, Tensor]:
@@ -119,15 +121,15 @@ def _cloud(columns: Mapping[str, Tensor]) -> AnchorCloud:
     )
 
 
-def _degree(visibility: Tensor, path: Path) -> int:
-    squares = {(degree + 1) ** 2: degree for degree in range(MAX_DEGREE + 1)}
-    if visibility.shape[1] not in squares:
+def _visibility_degree(visibility: Tensor, path: Path) -> int:
+    degree_by_count = {(degree + 1) ** 2: degree for degree in range(MAX_DEGREE + 1)}
+    if visibility.shape[1] not in degree_by_count:
         message = f"{visibility.shape[1] - 1} properties anchor_shv, expected 0, 3, 8 or 15"
         raise CheckpointInvalid(message, where=str(path))
-    return squares[visibility.shape[1]]
+    return degree_by_count[visibility.shape[1]]
 
 
-def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> CellWeighting:
+def _cell_weighting(info: Tensor, cfg: CfgArgs, path: Path) -> CellWeighting:
     if len(info) < _INFO_FIELDS:
         message = f"has {len(info)} cells, expected at least {_INFO_FIELDS} for the numbers of info"
         raise CheckpointInvalid(message, where=str(path))

@@ -65,7 +65,7 @@ class Prefilter(nn.Module):
         slope = position[:, :2] / depth.clamp(min=_NEAR_DEPTH)
         focal = torch.cat([proj[0, 0:1], proj[1, 1:2]]).abs().reshape(1, 2)
         pixel = ((slope * focal + 1) * viewport.reshape(1, 2) - 1) * 0.5
-        radius = self._radius(slope, depth, focal, viewport, camera[:3, :3])
+        radius = self._screen_radius(slope, depth, focal, viewport, camera[:3, :3])
         viewport_end = torch.ceil(viewport.reshape(1, 2) / TILE) * TILE
         # An image without pixels, or a focal length of 0, shows no anchor.
         usable_mask = (viewport_end > 0).float() * (focal > 0).float()
@@ -74,7 +74,7 @@ class Prefilter(nn.Module):
         )
         return is_visible[:, 0:1] * is_visible[:, 1:2] * (depth > _NEAR_DEPTH).float()
 
-    def _radius(
+    def _screen_radius(
         self, slope: Tensor, depth: Tensor, focal: Tensor, viewport: Tensor, turn: Tensor
     ) -> Tensor:
         """Return three standard deviations of the projected ellipse, rounded up to pixels."""

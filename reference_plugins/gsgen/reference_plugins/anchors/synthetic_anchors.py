@@ -47,8 +47,10 @@ class AnchorOptions:
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
     """Write a synthetic checkpoint of Scaffold-GS, and return the folder."""
     rng = np.random.default_rng(options.seed)
-    columns = _positions(options) | {axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")}
-    columns |= _payload(options, rng)
+    columns = _knot_positions(options) | {
+        axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")
+    }
+    columns |= _anchor_columns(options, rng)
     cfg = _cfg_values(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
     _write_training_run(folder, options, columns, cfg)
     return folder
@@ -69,7 +71,9 @@ def write_octree(
     sizes of two levels, and ``distance`` belongs to level 0.
     """
     rng = np.random.default_rng(options.seed)
-    columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
+    columns = (
+        _knot_positions(options) | _levels(options, levels, rng) | _anchor_columns(options, rng)
+    )
     columns["info"][1] = distance
     _write_training_run(
         folder, options, columns, _cfg_values(options) | _level_cfg_values(options, mode, fork)
@@ -95,10 +99,10 @@ def write_duplex(
     """
     rng = np.random.default_rng(options.seed)
     n = options.anchors
-    columns = _positions(options) | _levels(options, levels, rng)
+    columns = _knot_positions(options) | _levels(options, levels, rng)
     columns["info"][2:5] = sigma, 0.05, 1.0  # sigma, background weight, transmittance grade
     dropped_columns = ("opacity", "scale_", "rot_")
-    payload = _payload(options, rng)
+    payload = _anchor_columns(options, rng)
     columns |= {name: payload[name] for name in payload if not name.startswith(dropped_columns)}
     columns |= {f"anchor_size_{i}": rng.normal(-2.2, 0.3, n) for i in range(3)}
     columns |= {f"anchor_rot_{i}": rng.normal(0, 1, n) for i in range(4)}
@@ -131,15 +135,15 @@ def anchor_columns(
     options: AnchorOptions, rng: np.random.Generator
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """Return the PLY columns of anchors along a torus knot, without levels of detail."""
-    return _positions(options) | _payload(options, rng)
+    return _knot_positions(options) | _anchor_columns(options, rng)
 
 
-def _positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
+def _knot_positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
     knot_splats = torus_knot(options.anchors, degree=0, seed=options.seed)
     return dict(zip("xyz", knot_splats.position.T, strict=True))
 
 
-def _payload(
+def _anchor_columns(
     options: AnchorOptions, rng: np.random.Generator
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """Return the PLY columns of anchors: offsets (axis by axis), features, scales, rotations."""
@@ -203,12 +207,12 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
     for index, (name, outputs) in enumerate(_CHANNELS_BY_HEAD.items()):
         inputs = input_size + options.distance[index]
         inputs += options.appearance if name == "color_mlp" else 0
-        head = _network(inputs, options.width, outputs * options.per_anchor, generator)
+        head = _make_network(inputs, options.width, outputs * options.per_anchor, generator)
         _shape_head(name, head, options.per_anchor)
         networks[name] = head
     if options.has_feature_bank:
         inputs = 3 + options.level if octree else 4
-        networks["feature_bank_mlp"] = _network(inputs, options.width, 3, generator)
+        networks["feature_bank_mlp"] = _make_network(inputs, options.width, 3, generator)
     if options.appearance:
         networks["embedding_appearance"] = _Embedding(options, generator)
     return networks
@@ -228,7 +232,9 @@ class _Embedding(nn.Module):
         return rows
 
 
-def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
+def _make_network(
+    inputs: int, width: int, outputs: int, generator: torch.Generator
+) -> nn.Sequential:
     network = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
     with torch.no_grad():
         for parameter in network.parameters():

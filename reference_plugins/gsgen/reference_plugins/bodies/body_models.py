@@ -138,7 +138,7 @@ def read_body(path: Path, joints: int) -> Body:
         pose_dirs=arrays["posedirs"],
         weights=arrays["weights"],
         regressor=arrays["J_regressor"],
-        parents=_parents(path, arrays["kintree_table"][0]),
+        parents=_read_parents(path, arrays["kintree_table"][0]),
         hand_mean=hand_mean_pose,
         faces=faces.astype(np.int64),
     )
@@ -193,7 +193,7 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], joints: int) -> 
             raise CheckpointInvalid(message, where=str(path), hint=hint)
 
 
-def _parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
+def _read_parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
     parents = [-1 if p in (-1, NO_PARENT_JOINT) else int(p) for p in table]
     for joint, parent in enumerate(parents):
         if not (parent == -1 if joint == 0 else 0 <= parent < joint):

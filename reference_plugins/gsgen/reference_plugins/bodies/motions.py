@@ -85,7 +85,7 @@ def read_motion(path: Path, joints: int) -> Motion:
     if not path.is_file():
         raise CheckpointInvalid("is missing", where=str(path), hint=_supported_motions())
     if path.suffix == ".json":
-        read = _json(path)
+        read = _read_json(path)
         return _motion_from_json(path, read if isinstance(read, list) else [read], joints)
     return _motion_from_arrays(path, _read_arrays(path), joints)
 
@@ -101,7 +101,7 @@ def _read_folder(path: Path, joints: int) -> Motion:
     for suffix in ("npz", "npy", "json"):
         files = sorted(path.glob(f"*.{suffix}"), key=_frame_number)
         if files and suffix == "json":
-            return _motion_from_json(path, [_json(file) for file in files], joints)
+            return _motion_from_json(path, [_read_json(file) for file in files], joints)
         if files:
             frames = [_read_arrays(file) for file in files]
             names = set(frames[0])
@@ -193,7 +193,7 @@ def _convert_poses(
     return converted_poses.reshape(frames, joints, 3)
 
 
-def _json(path: Path) -> Any:
+def _read_json(path: Path) -> Any:
     try:
         if not path.is_file():
             raise ValueError("the file is a pipe or a device")

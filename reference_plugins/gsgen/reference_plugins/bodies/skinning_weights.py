@@ -84,7 +84,7 @@ class BigPoseGaussians(nn.Module):
         inverse_transforms = inverse(big_pose)
         relative_positions = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
         position = (inverse_transforms * relative_positions).sum(dim=2)
-        root = multiply_matrices(inverse_transforms, _root(self.rotation, self.scale))
+        root = multiply_matrices(inverse_transforms, _covariance_root(self.rotation, self.scale))
         return weights.transpose(0, 1), position, root
 
 
@@ -134,7 +134,7 @@ class SurfaceGaussians(nn.Module):
         added = torch.index_select(self.added.transpose(0, 1), 1, self.vertex)
         weights = torch.index_select(self.near.transpose(0, 1), 1, self.vertex)
         stiff = torch.index_select(self.stiff.transpose(0, 1), 1, self.vertex)
-        root = _root(self.rotation, self.scale)
+        root = _covariance_root(self.rotation, self.scale)
         return weights, position + added[None], inverse_transforms[:, :, :3], stiff, root
 
 
@@ -146,7 +146,9 @@ def _register_tables(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
         module.register_buffer(name, table)
 
 
-def _root(rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]) -> Float[Tensor, "1 3 3 n"]:
+def _covariance_root(
+    rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]
+) -> Float[Tensor, "1 3 3 n"]:
     """Return R S, a square root of the covariance, from quaternions and standard deviations."""
     columns = rotation_columns(planes_of(rotation))
     turn = torch.stack([torch.cat(column) for column in columns], dim=1)

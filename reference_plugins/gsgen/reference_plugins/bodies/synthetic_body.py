@@ -131,7 +131,7 @@ def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
     return positions
 
 
-def _tubes(
+def _body_tubes(
     joint_positions: Float[np.ndarray, "j 3"],
 ) -> tuple[Float[np.ndarray, "j 3"], Float[np.ndarray, "j 3"], Float[np.ndarray, " j"]]:
     """Return begin, end and radius of the tube (limb) around each bone of the stick figure."""
@@ -156,7 +156,7 @@ def _choose_tubes(
     joint_positions: Float[np.ndarray, "j 3"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " n"]:
     """Choose random limbs (tubes) of the synthetic body, in proportion to their surface."""
-    tube_start, end, radius = _tubes(joint_positions)
+    tube_start, end, radius = _body_tubes(joint_positions)
     surface = radius * (np.linalg.norm(end - tube_start, axis=1) + 0.3 * radius)
     return rng.choice(len(joint_positions), count, p=surface / surface.sum())
 
@@ -165,7 +165,7 @@ def _tube_points(
     joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
     """Sample random points on the surface of the limbs (tubes) of a synthetic body."""
-    tube_start, end, radius = (values[tube] for values in _tubes(joint_positions))
+    tube_start, end, radius = (values[tube] for values in _body_tubes(joint_positions))
     segment = end - tube_start
     length = np.linalg.norm(segment, axis=1, keepdims=True)
     axis = segment / np.maximum(length, 1e-9)
@@ -222,7 +222,7 @@ def clothing_colors(
 ) -> Float[np.ndarray, "n 3"]:
     """Return colours in [0, 1] for points around a body: skin, hair and clothes, lit from above."""
     joint_positions = _joint_positions(options.joints)
-    tube_start, end, radius = _tubes(joint_positions)
+    tube_start, end, radius = _body_tubes(joint_positions)
     distance = np.stack(
         [
             _segment_distance(points, *end_points) - tube_radius

@@ -83,9 +83,9 @@ class Deformable3DGS(GaussianGenerator):
         # Not normalised, as in the published rasteriser.
         rotation = self.rotation[part] + self.turn(hidden)
         covariance = covariance_planes(planes_of(scale), planes_of(rotation), normalise=False)
-        return self._position(position, hidden), stack_planes(covariance)
+        return self._deform_position(position, hidden), stack_planes(covariance)
 
-    def _position(self, position: Tensor, hidden: Tensor) -> Tensor:
+    def _deform_position(self, position: Tensor, hidden: Tensor) -> Tensor:
         if len(self.warp) == 1:
             shifted_position: Tensor = position + self.warp[0](hidden)
             return shifted_position

@@ -174,7 +174,7 @@ def _read_hexplane_networks(path: Path, flags: DeformationFlags) -> HexPlaneNets
         feature=tuple(layer_of(read, f"feature_out.{2 * i}") for i in range(layers)),
         heads={head: _layer_pair(read, f"{head}_deform") for head in flags.active_heads},
         static=static,
-        voxels=_voxels(read) if flags.mask == "empty_voxel" else None,
+        voxels=_read_voxels(read) if flags.mask == "empty_voxel" else None,
     )
 
 
@@ -224,7 +224,7 @@ def _layer_pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
     return layer_of(read, f"{name}.1"), layer_of(read, f"{name}.3")
 
 
-def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+def _read_voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Return a checkpoint's voxel grid and its two corners, by default those of the hexplane."""
     upper_corner, lower_corner = read["grid.aabb"]
     low_corner = read.get("empty_voxel.xyz_min", lower_corner)

@@ -39,17 +39,17 @@ _LAYER_NAME = re.compile(
 def layers_by_name(unet: UNet, autoencoder: nn.Module | None) -> dict[str, nn.Module]:
     """Return all linear and convolution layers of U-Net and autoencoder, by each LoRA name."""
     layers: dict[str, nn.Module] = {}
-    for name, layer in _layers(unet):
+    for name, layer in _named_layers(unet):
         for layer_name in (name, _original_name(name, unet)):
             layers |= {layer_name: layer, f"unet.{layer_name}": layer}
             layers |= {f"diffusion_model.{layer_name}": layer}
             layers[_KOHYA_PREFIX + layer_name.replace(".", "_")] = layer
-    for name, layer in () if autoencoder is None else _layers(autoencoder):
+    for name, layer in () if autoencoder is None else _named_layers(autoencoder):
         layers |= {name: layer, f"vae.{name}": layer}
     return layers
 
 
-def _layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
+def _named_layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
     for name, layer in network.named_modules():
         if isinstance(layer, nn.Linear | nn.Conv2d):
             yield name, layer

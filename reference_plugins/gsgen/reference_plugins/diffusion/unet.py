@@ -24,8 +24,8 @@ class _UnconditionalUNet(UNet2DModel, nn.Module):  # type: ignore[misc]
         self, image: Float[Tensor, "b i h w"], timesteps: Float[Tensor, " b"], *_: None
     ) -> Float[Tensor, "b o h w"]:
         """Return the prediction of the U-Net, such as noise."""
-        predicted: Tensor = super().forward(image, timesteps, return_dict=False)[0]
-        return predicted
+        network_output: Tensor = super().forward(image, timesteps, return_dict=False)[0]
+        return network_output
 
 
 class _ConditionalUNet(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
@@ -43,10 +43,10 @@ class _ConditionalUNet(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
     ) -> Float[Tensor, "b o h w"]:
         """Return the prediction of the U-Net; :func:`added_vector` gives ``vector``."""
         added = {"vector": vector}
-        predicted: Tensor = super().forward(
+        network_output: Tensor = super().forward(
             image, timesteps, context, added_cond_kwargs=added, return_dict=False
         )[0]
-        return predicted
+        return network_output
 
     def get_aug_embed(
         self, time_embedding: Tensor, encoder_hidden_states: Tensor, added_cond_kwargs: Any

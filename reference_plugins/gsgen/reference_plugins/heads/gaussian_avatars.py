@@ -111,7 +111,7 @@ class GaussianAvatars(GaussianGenerator):
     ) -> Gaussians:
         """Return the Gaussians of the head for given expression, pose and root translation."""
         # Edges are differences of vertices: these keep more digits before the head is translated.
-        frames, centres = self._triangles(self._vertices(pose, expression))
+        frames, centres = self._triangle_transforms(self._vertices(pose, expression))
         centres = centres + root_translation.reshape(1, 3)
         rows = torch.cat([frames.flatten(1), centres], dim=1).index_select(0, self.binding)
         frame = rows[:, :9].reshape(-1, 3, 3)
@@ -132,7 +132,7 @@ class GaussianAvatars(GaussianGenerator):
         transforms = skinning_transforms(joint_matrices, joints, self.parents)
         return skin(self.rest + vertex_offsets.reshape(-1, 3), self.weights, transforms)[0]
 
-    def _triangles(
+    def _triangle_transforms(
         self, vertices: Float[Tensor, "u 3"]
     ) -> tuple[Float[Tensor, "f 3 3"], Float[Tensor, "f 3"]]:
         """Return each triangle's rotation times the mean of base and height, and its centroid."""

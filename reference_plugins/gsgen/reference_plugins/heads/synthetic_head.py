@@ -35,7 +35,7 @@ def write_gaussian_avatar(
     gives the vertices of the teeth their offsets, with which the published code adds them.
     """
     rng = np.random.default_rng(seed)
-    vertices, faces = _ellipsoid(rings)
+    vertices, faces = _ellipsoid_mesh(rings)
     _write_face_model(folder / "assets", vertices, faces, expressions, rng)
     files = folder / f"point_cloud/iteration_{_ITERATION_NUMBER}"
     files.mkdir(parents=True, exist_ok=True)
@@ -75,7 +75,7 @@ def write_gaussian_avatar(
     return folder
 
 
-def _ellipsoid(rings: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+def _ellipsoid_mesh(rings: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Return vertices and triangles of an ellipsoid, which looks along +z with y up."""
     columns = 2 * rings
     height = np.cos(np.pi * (np.arange(rings) + 0.5) / rings)

@@ -84,7 +84,7 @@ _BOTTOM_CORNERS: tuple[_Corners, _Corners] = (
     (((0, 0), (0, 1), (1, 0)), ((0, 1), (1, 1), (1, 0))),
     (((0, 0), (1, 1), (1, 0)), ((0, 0), (0, 1), (1, 1))),
 )
-_STRIP_TABLE = (
+_STRIP_FACE_TABLE = (
     ("ur", "ue", _OUTWARD_CORNERS), ("urB", "ueB", _INWARD_CORNERS), ("ueB", "ue", _TOP_CORNERS),
     ("le", "lr", _BOTTOM_CORNERS), ("lrB", "leB", _OUTWARD_CORNERS), ("leB", "le", _BOTTOM_CORNERS),
 )  # fmt: skip
@@ -117,7 +117,9 @@ def add_teeth(body: Body) -> Body:
         name: start + _COLUMN_COUNT * i + np.arange(_COLUMN_COUNT)
         for i, name in enumerate(_ROW_NAMES)
     }
-    face_strips = [_strip_faces(indices[a], indices[b], corners) for a, b, corners in _STRIP_TABLE]
+    face_strips = [
+        _strip_faces(indices[a], indices[b], corners) for a, b, corners in _STRIP_FACE_TABLE
+    ]
     zero_pose_dirs = np.zeros((TEETH_VERTEX_COUNT, *body.pose_dirs.shape[1:]))
     return replace(
         body,
@@ -153,12 +155,12 @@ def _lip_vertex_indices(body: Body) -> tuple[_VertexIndices, _VertexIndices]:
     lip_masks: Sequence[object] = [masks.get(name) for name in _MASK_NAMES]
     default: Callable[[Sequence[int]], _VertexIndices] = np.array
     upper_lip, lower_lip = (
-        default(lip_ring) if mask is None else np.asarray(mask)
-        for mask, lip_ring in zip(lip_masks, (_UPPER_LIP, _LOWER_LIP), strict=True)
+        default(ring_vertices) if mask is None else np.asarray(mask)
+        for mask, ring_vertices in zip(lip_masks, (_UPPER_LIP, _LOWER_LIP), strict=True)
     )
-    for name, lip_ring in zip(_MASK_NAMES, (upper_lip, lower_lip), strict=True):
-        is_valid = lip_ring.shape == (_COLUMN_COUNT,) and lip_ring.dtype.kind in "iu"
-        if not is_valid or not ((lip_ring >= 0) & (lip_ring < len(body.template))).all():
+    for name, ring_vertices in zip(_MASK_NAMES, (upper_lip, lower_lip), strict=True):
+        is_valid = ring_vertices.shape == (_COLUMN_COUNT,) and ring_vertices.dtype.kind in "iu"
+        if not is_valid or not ((ring_vertices >= 0) & (ring_vertices < len(body.template))).all():
             message = f"{name} is not {_COLUMN_COUNT} of the {len(body.template)} vertices"
             raise CheckpointInvalid(message, where=str(path if path.is_file() else body.path))
     return upper_lip, lower_lip

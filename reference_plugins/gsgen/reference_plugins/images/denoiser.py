@@ -111,14 +111,14 @@ class Denoiser(PostProcess):
         if self.autoencoder is not None:
             encoded, skip_features = self.autoencoder.encode(image)
         timestep_tensor = torch.tensor([self.step.timestep]) if timestep is None else timestep
-        predicted: Tensor = self.unet(encoded, timestep_tensor, self.context, self.vector)
-        result = predicted
+        network_output: Tensor = self.unet(encoded, timestep_tensor, self.context, self.vector)
+        result = network_output
         if self.noise is not None:
             # √ᾱ is small at late timesteps, so this is computed in float32.
             signal, noise = self._signal_and_noise_at(timestep)
             prediction = self.noise.prediction
             clean_image = _clean_image(
-                prediction, encoded.float(), predicted.float(), signal, noise
+                prediction, encoded.float(), network_output.float(), signal, noise
             )
             result = clean_image.to(image.dtype)
         if self.autoencoder is not None:
@@ -139,14 +139,18 @@ def _signal_and_noise(noise: Noise) -> Float[Tensor, "steps 2"]:
 
 
 def _clean_image(
-    prediction: str, noisy_image: Tensor, predicted: Tensor, signal: SignalShare, noise: SignalShare
+    prediction: str,
+    noisy_image: Tensor,
+    network_output: Tensor,
+    signal: SignalShare,
+    noise: SignalShare,
 ) -> Tensor:
     """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for the clean image x₀."""
     if prediction == "epsilon":
-        return (noisy_image - noise * predicted) / signal
+        return (noisy_image - noise * network_output) / signal
     if prediction == "v_prediction":  # Salimans and Ho 2022, appendix D
-        return signal * noisy_image - noise * predicted
-    return predicted
+        return signal * noisy_image - noise * network_output
+    return network_output
 
 
 def _last_timestep(read: DiffusionCheckpoint) -> int:

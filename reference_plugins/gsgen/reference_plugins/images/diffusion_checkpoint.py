@@ -107,7 +107,7 @@ def read_diffusion(
     """
     change = Difix() if difix is None else read_difix(difix)
     unet_folder = folder / "unet" if (folder / "unet").is_dir() else folder
-    unet: _LoadedNetwork[UNet] = _network(
+    unet: _LoadedNetwork[UNet] = _read_network(
         unet_folder, lambda config, _: unet_of(config), change.unet, difix
     )
     read: list[_LoadedNetwork[Any]] = [unet]
@@ -115,7 +115,7 @@ def read_diffusion(
     if vae is not None or (folder / "vae").is_dir():
         vae_folder = vae or folder / "vae"
         vae_folder = vae_folder / "vae" if (vae_folder / "vae").is_dir() else vae_folder
-        autoencoder_network = _network(vae_folder, _autoencoder, change.vae, difix)
+        autoencoder_network = _read_network(vae_folder, _autoencoder, change.vae, difix)
         _require_latents(unet.network, autoencoder_network.network, unet_folder)
         read.append(autoencoder_network)
         autoencoder = autoencoder_network.network
@@ -151,7 +151,7 @@ class _LoadedNetwork(Generic[_Network]):
     fused_adapter: Adapter | None
 
 
-def _network(
+def _read_network(
     folder: Path,
     network: Callable[[ModelConfig, Mapping[str, Any]], _Network],
     change: Mapping[str, Any],

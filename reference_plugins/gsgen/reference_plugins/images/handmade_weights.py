@@ -42,11 +42,11 @@ def set_denoising_weights(unet: "UNet") -> None:
         raise ConfigInvalid(message, where="unet")
     weights = Weights(unet)
     weights("conv_in", _set_center_weights)
-    weights("down_blocks.0.downsamplers.0.conv", _blur)
+    weights("down_blocks.0.downsamplers.0.conv", _set_blur_weights)
     weights("down_blocks.1.resnets.0.conv_shortcut", _set_center_weights)
     for name in ("up_blocks.0.resnets.0", "up_blocks.0.resnets.1", "up_blocks.1.resnets.1"):
-        weights(f"{name}.conv_shortcut", _set_to_one)  # the skip connections are ignored
-    weights("up_blocks.0.upsamplers.0.conv", _blur)
+        weights(f"{name}.conv_shortcut", _set_unit_weights)  # the skip connections are ignored
+    weights("up_blocks.0.upsamplers.0.conv", _set_blur_weights)
     blurred = options.channels[1]
     difference = weights["up_blocks.1.resnets.0.conv_shortcut.weight"]
     norm_parameters = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
@@ -75,7 +75,7 @@ def set_outline_weights(network: Stylise) -> None:
     weights = Weights(network)
     weights("down.0.conv", _color_and_contrast)
     for name in ("down.1", "down.2", "up.0", "up.1"):
-        weights(f"{name}.conv", _blur)
+        weights(f"{name}.conv", _set_blur_weights)
     for name in ("down.0", "down.1", "down.2", "up.0", "up.1"):
         weights[f"{name}.norm.weight"][:6] = 1.0
         weights[f"{name}.norm.bias"][:4] = 2.0  # few values are below −2 deviations
@@ -111,11 +111,11 @@ def _set_center_weights(weight: Float[Tensor, "o i h w"]) -> None:
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
 
 
-def _set_to_one(weight: Float[Tensor, "o i 1 1"]) -> None:
+def _set_unit_weights(weight: Float[Tensor, "o i 1 1"]) -> None:
     weight[:, : len(weight), 0, 0] = torch.eye(len(weight))
 
 
-def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
+def _set_blur_weights(weight: Float[Tensor, "o i 3 3"]) -> None:
     for channel in range(min(weight.shape[:2])):
         weight[channel, channel] = BINOMIAL_KERNEL
 

@@ -91,22 +91,25 @@ def write_difix(folder: Path) -> Path:
 def _set_identity(autoencoder_model: Autoencoder) -> None:
     """Set the weights so that the encoder halves the image size and the decoder doubles it."""
     weights = Weights(autoencoder_model)
-    first, down_weight = weights["encoder.conv_in.weight"], weights[_sampler("encoder", "down")]
+    first, downsampler_weight = (
+        weights["encoder.conv_in.weight"],
+        weights[_sampler("encoder", "down")],
+    )
     for color in range(COLORS):
         _set_difference(first, color, color)
         _set_bias(weights["encoder.conv_in.bias"], color)
     for channel in range(_CHANNEL_COUNT):  # the mean of four pixels; the padding is not used
-        down_weight[channel, channel, :2, :2] = 0.25
+        downsampler_weight[channel, channel, :2, :2] = 0.25
     _set_output(weights, "encoder")
     for name, count in (("quant_conv", 8), ("post_quant_conv", 4)):
         weights[f"{name}.weight"][:, :, 0, 0] = torch.eye(count)
-    up_weight, bias = weights[_sampler("decoder", "up")], weights["decoder.conv_in.bias"]
+    upsampler_weight, bias = weights[_sampler("decoder", "up")], weights["decoder.conv_in.bias"]
     for color in range(COLORS):
         _set_difference(weights["decoder.conv_in.weight"], color, color)
         _set_bias(bias, color)
         _set_bias(weights[_sampler("decoder", "up").replace("weight", "bias")], color)
         for channel in range(4 * color, 4 * color + 2):
-            up_weight[channel, channel] = BINOMIAL_KERNEL
+            upsampler_weight[channel, channel] = BINOMIAL_KERNEL
     _set_output(weights, "decoder")
 
 
@@ -160,20 +163,20 @@ def _skip_layers() -> Iterator[tuple[str, Tensor]]:
     """Yield weights of Difix's skip connections: zeros, and a LoRA that adds the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
-        down_weight, up_weight = (
+        downsampler_weight, upsampler_weight = (
             torch.zeros(_LORA_RANK, _CHANNEL_COUNT, 1, 1),
             torch.zeros(_CHANNEL_COUNT, _LORA_RANK, 1, 1),
         )
         for color in range(COLORS):
-            down_weight[color, 4 * color] = 1.0
+            downsampler_weight[color, 4 * color] = 1.0
             if index == 2:  # the connection of the image's full resolution
-                up_weight[4 * color, color], up_weight[4 * color + 1, color] = (
+                upsampler_weight[4 * color, color], upsampler_weight[4 * color + 1, color] = (
                     1 / _ALPHA_SHARE,
                     -1 / _ALPHA_SHARE,
                 )
         yield f"{name}.base_layer.weight", torch.zeros(_CHANNEL_COUNT, _CHANNEL_COUNT, 1, 1)
-        yield f"{name}.lora_A.vae_skip.weight", down_weight
-        yield f"{name}.lora_B.vae_skip.weight", up_weight
+        yield f"{name}.lora_A.vae_skip.weight", downsampler_weight
+        yield f"{name}.lora_B.vae_skip.weight", upsampler_weight
 
 
 def _set_difference(weight: Float[Tensor, "o i 3 3"], color: int, source: int) -> None:

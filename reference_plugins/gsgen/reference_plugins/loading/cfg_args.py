@@ -123,7 +123,7 @@ def _parse_file(path: Path) -> dict[str, Any]:
         and all(option.arg or _is_unspellable(option.value) for option in tree.keywords)
     ):
         raise CheckpointInvalid("is not a printed Namespace(…)", where=str(path), hint=hint)
-    return {name: _value(node, text) for name, node in _options(tree, text)}
+    return {name: _literal_value(node, text) for name, node in _options(tree, text)}
 
 
 def _parse_expression(text: str) -> ast.expr:
@@ -161,7 +161,7 @@ def _options(tree: ast.Call, text: str) -> Iterator[tuple[str, ast.expr]]:
                 yield str(key.value), value
 
 
-def _value(node: ast.expr, text: str) -> Any:
+def _literal_value(node: ast.expr, text: str) -> Any:
     source = ast.get_source_segment(text, node) or ""
     try:
         return ast.literal_eval(_LiteralValues().visit(node))

@@ -94,7 +94,7 @@ def likely_folders(folder: Path, is_wanted: Callable[[Path], bool]) -> str:
     ]
     matches: list[Path] = []
     for candidate in candidates:
-        if _matches(is_wanted, candidate) and not set(matches) & set(candidate.parents):
+        if _is_match(is_wanted, candidate) and not set(matches) & set(candidate.parents):
             matches.append(candidate)
     if not matches:
         return ""
@@ -104,7 +104,7 @@ def likely_folders(folder: Path, is_wanted: Callable[[Path], bool]) -> str:
     return f"Did you mean {' or '.join(map(str, matches[:_MAX_NAMED_FOLDERS]))}?{remainder}"
 
 
-def _matches(is_wanted: Callable[[Path], bool], folder: Path) -> bool:
+def _is_match(is_wanted: Callable[[Path], bool], folder: Path) -> bool:
     try:
         return is_wanted(folder)
     except OSError:  # the folder cannot be listed

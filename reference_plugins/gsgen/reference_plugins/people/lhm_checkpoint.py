@@ -98,7 +98,7 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
         rotation=tensors["rotation"],
         neutral=tensors["transform_mat_neutral_pose"],
         betas=tensors["betas"],
-        samples=_samples(avatar_folder / _POINTS_FOLDER, count),
+        samples=_read_samples(avatar_folder / _POINTS_FOLDER, count),
         stiff=_rigid_vertices(avatar_folder / _PRIOR_FILE, len(model.template)),
         body=model,
     )
@@ -189,20 +189,20 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     return tensors
 
 
-def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
+def _read_samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
     hint = "Copy pretrained_models/dense_sample_points, which comes with LHM's weights, to here."
     names = sorted(folder.glob("*.ply")) if folder.is_dir() else []
     if not names:
         raise CheckpointInvalid("holds no .ply file", where=str(folder), hint=hint)
     for path in names:
-        points = _points(path)
+        points = _read_points(path)
         if len(points) == count:
             return points
     message = f"holds no .ply file of {count} points ({', '.join(path.name for path in names)})"
     raise CheckpointInvalid(message, where=str(folder), hint=hint)
 
 
-def _points(path: Path) -> Float[np.ndarray, "n 3"]:
+def _read_points(path: Path) -> Float[np.ndarray, "n 3"]:
     with format_faults(path):
         return read_ply_columns(path, {"position": ("x", "y", "z")})["position"].astype(np.float64)
 

@@ -120,9 +120,9 @@ def read_r3(
     cfg = read_cfg_args(folder)
     origin = FRAMES_BY_DATASET[dataset or guess_dataset(cfg)]
     model = read_body_of(folder, cfg, body)
-    fields = _fields(path)
+    fields = _read_fields(path)
     nets = read_pose_nets(path, _state(path, fields[12]), _state(path, fields[13]), model.joints)
-    grids = _grids(path, _state(path, fields[16]))
+    grids = _read_grids(path, _state(path, fields[16]))
     features = sum(planes[0].shape[0] for planes in grids)
     inner, heads = _decoder(path, _state(path, fields[18]), features)
     aabb = require_tensors(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
@@ -192,7 +192,7 @@ def guess_dataset(cfg: CfgArgs) -> str:
     raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
 
 
-def _fields(path: Path) -> Any:
+def _read_fields(path: Path) -> Any:
     hint = "Expected a checkpoint of R3-Avatar's training; code in files is not executed."
     read = load_tensors(path, hint, [(_PlaceholderModule, name) for name in _TRAINING_CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
@@ -236,7 +236,7 @@ def _read_canonical(path: Path, fields: Any) -> Canonical:
     )
 
 
-def _grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...], ...]:
+def _read_grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...], ...]:
     scales = {name.partition(".")[0] for name in state}
     sizes: dict[str, Shape] = {
         f"{scale}.{plane}": (1, None, None, None)

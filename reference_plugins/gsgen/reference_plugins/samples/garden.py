@@ -37,7 +37,7 @@ def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
     """Return a garden of about ``count`` splats, five metres around, with y down as in captures."""
     rng = np.random.default_rng(seed)
     unit = count / 60_000
-    cloud = join([*_ground_clouds(unit, rng), *_table(unit, rng), *_plant_clouds(unit, rng)])
+    cloud = join([*_ground_clouds(unit, rng), *_table_clouds(unit, rng), *_plant_clouds(unit, rng)])
     return apply_lighting(cloud)
 
 
@@ -140,7 +140,7 @@ def _ground_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     ]
 
 
-def _table(unit: float, rng: np.random.Generator) -> list[Cloud]:
+def _table_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
     table_top = on_disc(int(4500 * unit), _TABLE_RADIUS, np.zeros(3))
     x, _, z = table_top.position.T
     plank_index = np.floor(x / 0.16)
@@ -288,8 +288,8 @@ def _plant_clouds(unit: float, rng: np.random.Generator) -> list[Cloud]:
         clouds += [trunk_cloud.moved((x, 0, z)), crown_cloud.moved((x, 2.0 * size, z))]
     # 3. Beds: low bushes with flowers, around the paving.
     for number in range(7):
-        turn_of_bed = np.pi * (0.95 + 1.1 * number / 6)
-        x, z = 2.75 * np.cos(turn_of_bed), 2.75 * np.sin(turn_of_bed)
+        bed_angle = np.pi * (0.95 + 1.1 * number / 6)
+        x, z = 2.75 * np.cos(bed_angle), 2.75 * np.sin(bed_angle)
         bush_leaf_points = on_ellipsoid(
             int(600 * unit), (0.38, 0.3, 0.38), np.array([0.12, 0.28, 0.08]), rng, size=0.025
         )

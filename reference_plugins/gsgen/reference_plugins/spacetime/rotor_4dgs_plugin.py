@@ -68,7 +68,7 @@ def build(
 
     read = read_rotor(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
-    duration = _duration(read.run, config, time_duration)
+    duration = _time_duration(read.run, config, time_duration)
     if read.has_environment:
         note("warning: the learnt background (env_map) is not of Gaussians, and is left out")
     prefilter = read.run.cfg.number("prefilter_var", -1.0)
@@ -77,7 +77,7 @@ def build(
     return generator
 
 
-def _duration(
+def _time_duration(
     run: "TrainingRun", config: Path | None, time_duration: tuple[float, float] | None
 ) -> tuple[float, float]:
     """Return the times of the first and last frame, from --time-duration or from --config."""

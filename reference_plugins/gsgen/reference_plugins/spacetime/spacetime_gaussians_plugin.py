@@ -60,12 +60,12 @@ def build(
     report_checkpoint(read.describe(), read.run.cfg)
     duration = read.run.cfg.integer("duration", 0)
     time = replace(time, frames=time.frames or duration or None)
-    model = _model(read, time, decode, size)
+    model = _exported_module(read, time, decode, size)
     model.producer = producer_of(_PAPER_REFERENCE.code, read.run, read.files)
     return model
 
 
-def _model(
+def _exported_module(
     read: "SpacetimeCheckpoint", time: Input, decode: str | None, size: str
 ) -> "GaussianGenerator | PostProcess":
     """Return the generator or, for --decode decoder, the post-process that decodes features."""

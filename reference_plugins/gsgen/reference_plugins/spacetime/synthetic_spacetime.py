@@ -35,7 +35,7 @@ def write_spacetime(
     columns = dict(zip("xyz", knot_splats.position.T, strict=True))
     columns |= {"trbf_center": centre[:, 0], "trbf_scale": log_duration[:, 0]}
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))
-    columns |= _numbered_columns("motion", _motion(knot_splats.position, sway))
+    columns |= _numbered_columns("motion", _motion_coefficients(knot_splats.position, sway))
     features = [color, rng.normal(0, 0.5, (count, 3))] if full else [color]
     columns |= _numbered_columns("f_dc", np.concatenate(features, axis=1))
     columns |= {"opacity": knot_splats.logit_opacity}
@@ -60,7 +60,9 @@ def write_spacetime(
     return folder
 
 
-def _motion(position: Float[np.ndarray, "n 3"], sway: float) -> Float[np.ndarray, "n 9"]:
+def _motion_coefficients(
+    position: Float[np.ndarray, "n 3"], sway: float
+) -> Float[np.ndarray, "n 9"]:
     """Return the coefficients of a motion that lifts points and turns them around the axis y."""
     x, _, z = position.T
     phase = np.arctan2(z, x)

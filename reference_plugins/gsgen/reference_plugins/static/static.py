@@ -212,5 +212,5 @@ def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]
     if k < 1:
         return np.full(len(positions), np.sqrt(_SMALLEST_SQUARE))
     distances, _ = KDTree(positions).query(positions, k=k + 1, workers=-1)
-    squares = np.square(distances[:, 1:]).mean(axis=1)
-    return np.asarray(np.sqrt(np.maximum(squares, _SMALLEST_SQUARE)))
+    mean_squared_distances = np.square(distances[:, 1:]).mean(axis=1)
+    return np.asarray(np.sqrt(np.maximum(mean_squared_distances, _SMALLEST_SQUARE)))

@@ -13,14 +13,14 @@ def harmonic_sum(
 ) -> Float[Tensor, "n c"]:
     """Evaluate spherical harmonics in a direction (degree 0 to 3, signs as in 3DGS)."""
     x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
-    basis_values = _basis(x, y, z)
+    basis_values = _basis_functions(x, y, z)
     total = coefficients[0] * next(basis_values)
     for coefficient, function in zip(coefficients[1:], basis_values, strict=False):
         total = total + coefficient * function
     return total
 
 
-def _basis(x: Tensor, y: Tensor, z: Tensor) -> Iterator[Tensor | float]:
+def _basis_functions(x: Tensor, y: Tensor, z: Tensor) -> Iterator[Tensor | float]:
     """Yield the real SH basis functions in the order of 3DGS (Kerbl et al. 2023, its code)."""
     xx, yy, zz = x * x, y * y, z * z
     yield 0.28209479177387814

@@ -222,7 +222,7 @@ class _BakeJob:
     def _convert_frame(self, number: int, frame_label: str) -> tuple[Splats, int]:
         """Compute a frame; return its drawn Gaussians, and the number of Gaussians not drawn."""
         self.progress(f"{frame_label}: running the model")
-        gaussians = self._gaussians(number, frame_label)
+        gaussians = self._decode_gaussians(number, frame_label)
         mask, nonfinite_count = self.converter.drawn_mask(gaussians)
         if nonfinite_count:
             self._add_note(
@@ -247,7 +247,7 @@ class _BakeJob:
 
     # ---- The Gaussians of a frame
 
-    def _gaussians(self, number: int, frame_label: str) -> DecodedGaussians:
+    def _decode_gaussians(self, number: int, frame_label: str) -> DecodedGaussians:
         """Return a frame's Gaussians without padding rows, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):

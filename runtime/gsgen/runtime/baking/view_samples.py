@@ -206,8 +206,8 @@ def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
     bits = np.ascontiguousarray(positions, np.float32).view(np.uint32)
     _, inverse = np.unique(bits, axis=0, return_inverse=True)
     order = np.argsort(inverse.reshape(-1), kind="stable")
-    ordered = inverse.reshape(-1)[order]
-    is_run_start = np.diff(ordered, prepend=-1) != 0
+    ordered_keys = inverse.reshape(-1)[order]
+    is_run_start = np.diff(ordered_keys, prepend=-1) != 0
     start_indices = np.maximum.accumulate(np.where(is_run_start, np.arange(len(order)), 0))
     occurrence_numbers = np.empty(len(order), np.uint32)
     occurrence_numbers[order] = np.arange(len(order)) - start_indices

@@ -47,8 +47,10 @@ def read_colmap(folder: Path) -> CameraFile:
         raise ConfigInvalid(
             "the COLMAP model has no images, expected at least one", where=str(folder)
         )
-    ordered = sorted(images, key=lambda image: natural_key(image.name))
-    cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
+    ordered_images = sorted(images, key=lambda image: natural_key(image.name))
+    cameras = tuple(
+        NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered_images
+    )
     used_lenses = {number: lenses[number] for number in sorted({image.lens for image in images})}
     return CameraFile(
         path=str(folder),

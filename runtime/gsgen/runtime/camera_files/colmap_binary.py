@@ -62,45 +62,45 @@ class _Reader:
     """A memory-mapped binary file of COLMAP with a read position."""
 
     def __init__(self, data: mmap.mmap, path: Path) -> None:
-        self._data, self._path, self._offset = data, path, 0
+        self._file_bytes, self._file_path, self._read_offset = data, path, 0
 
     def count(self, min_bytes: int) -> int:
         """Read the number of records in a COLMAP file, and check it against the file's size."""
         (count,) = self.read_record(_COUNT_STRUCT)
-        if count > (len(self._data) - self._offset) // min_bytes:
+        if count > (len(self._file_bytes) - self._read_offset) // min_bytes:
             raise ConfigInvalid(
-                f"declares {count} records, more than its {len(self._data)} bytes can hold",
-                where=str(self._path),
+                f"declares {count} records, more than its {len(self._file_bytes)} bytes can hold",
+                where=str(self._file_path),
                 hint=_DAMAGED_HINT,
             )
         return int(count)
 
     def read_record(self, record_format: struct.Struct) -> tuple[Any, ...]:
         """Read the numbers of one record of a COLMAP file."""
-        offset = self._offset
+        offset = self._read_offset
         self.skip_bytes(record_format.size)
-        return record_format.unpack_from(self._data, offset)
+        return record_format.unpack_from(self._file_bytes, offset)
 
     def skip_bytes(self, size: int) -> None:
         """Advance the read position of a COLMAP file by some bytes."""
-        if size > len(self._data) - self._offset:
+        if size > len(self._file_bytes) - self._read_offset:
             raise ConfigInvalid(
-                f"ends at byte {len(self._data)}, expected {size} bytes from byte {self._offset} on",
-                where=str(self._path),
+                f"ends at byte {len(self._file_bytes)}, expected {size} bytes from byte {self._read_offset} on",
+                where=str(self._file_path),
                 hint=_DAMAGED_HINT,
             )
-        self._offset += size
+        self._read_offset += size
 
     def name(self) -> str:
         """Read a zero-terminated text of a COLMAP file."""
-        end = self._data.find(b"\0", self._offset, self._offset + _LONGEST_NAME)
+        end = self._file_bytes.find(b"\0", self._read_offset, self._read_offset + _LONGEST_NAME)
         if end < 0:
             raise ConfigInvalid(
-                f"the image name at byte {self._offset} has no final zero byte",
-                where=str(self._path),
+                f"the image name at byte {self._read_offset} has no final zero byte",
+                where=str(self._file_path),
             )
-        content = self._data[self._offset : end]
-        self._offset = end + 1
+        content = self._file_bytes[self._read_offset : end]
+        self._read_offset = end + 1
         return content.decode("utf-8", errors="replace")
 
 

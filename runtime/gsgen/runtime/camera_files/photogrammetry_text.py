@@ -28,7 +28,7 @@ from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.picture_size import picture_size
 from gsgen.runtime.camera_files.poses import view_from_opencv
 
-_BUNDLER_MARK: Final = b"# Bundle file"
+_BUNDLER_FIRST_LINE: Final = b"# Bundle file"
 _CAMERA_NUMBERS: Final = 15  # focal length, two coefficients of distortion, rotation, translation
 _LARGEST_NUMBER: Final = 1e300
 _OPENCV_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0])
@@ -37,7 +37,7 @@ _FRAME_SENSORS: Final = ("frame", "")
 
 def is_bundler(content: bytes) -> bool:
     """Return whether a file begins as Bundler's list of cameras."""
-    return content.startswith(_BUNDLER_MARK)
+    return content.startswith(_BUNDLER_FIRST_LINE)
 
 
 def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None) -> CameraFile:

@@ -7,7 +7,7 @@ from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 
-_SUFFIXES: Final = ("", ".png", ".jpg", ".jpeg")  # NeRF's synthetic scenes omit the suffix
+_PICTURE_SUFFIXES: Final = ("", ".png", ".jpg", ".jpeg")  # NeRF's synthetic scenes omit the suffix
 
 
 def picture_size(
@@ -26,7 +26,7 @@ def picture_size(
     """
     from PIL import Image
 
-    for suffix in _SUFFIXES:
+    for suffix in _PICTURE_SUFFIXES:
         file = folder / (name + suffix)
         try:
             if file.is_file():  # a pipe would never end

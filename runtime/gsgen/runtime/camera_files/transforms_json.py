@@ -102,7 +102,7 @@ def _camera(fields: Fields, index: int, where: str, size: tuple[int, int]) -> Na
             where=where,
             hint=f"Supported: {', '.join(_SUPPORTED_MODELS)}, {_PANORAMA_MODEL}. Undistort the pictures first.",
         )
-    fx, fy = _focal(fields, "x", where, size), _focal(fields, "y", where, size)
+    fx, fy = _focal_length(fields, "x", where, size), _focal_length(fields, "y", where, size)
     scale = math.pi if model == _PANORAMA_MODEL else 1.0  # a panorama has fl / π pixels per radian
     camera = camera_at(
         where,
@@ -125,7 +125,9 @@ def _matrix_shape(document: Mapping[str, Any]) -> tuple[int, int]:
     return (3, 4) if isinstance(transform, list) and len(transform) == 3 else (4, 4)
 
 
-def _focal(document: Mapping[str, Any], axis: str, where: str, size: tuple[int, int]) -> float:
+def _focal_length(
+    document: Mapping[str, Any], axis: str, where: str, size: tuple[int, int]
+) -> float:
     """Return a focal length in pixels: stored, from the angle of view, or of the other axis."""
     # An angle beside a stored length says the same once more; reading it records that it is used.
     angles = {name: document.get(f"camera_angle_{name}") for name in "xy"}

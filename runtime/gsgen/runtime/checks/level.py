@@ -47,7 +47,7 @@ _PICTURE_HEIGHT: Final = 360
 _FRAME_COUNT: Final = 5
 _AGREEMENT_RULE: Final = "GB020"
 _REFERENCES_RULE: Final = "GB021"
-_FOV_Y: Final = 50.0
+_VERTICAL_FOV_DEGREES: Final = 50.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,7 +269,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
             up=up,
             width=_PICTURE_WIDTH,
             height=_PICTURE_HEIGHT,
-            fov_y=_FOV_Y,
+            fov_y=_VERTICAL_FOV_DEGREES,
         )
     return Camera.look_at(
         eye.reshape(-1).tolist(),
@@ -277,5 +277,5 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
         up=up,
         width=_PICTURE_WIDTH,
         height=_PICTURE_HEIGHT,
-        fov_y=_FOV_Y,
+        fov_y=_VERTICAL_FOV_DEGREES,
     )

@@ -50,7 +50,7 @@ from gsgen.runtime.scene.natural_order import natural_key
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp")
+_PICTURE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp")
 
 
 @final
@@ -123,9 +123,9 @@ def record_source_pictures(
         DeviceUnavailable: No graphics device can be opened.
     """
     target = model.with_name(f"{model.stem}-references")
-    existing_pictures = sorted(target.glob("*.png"))
+    recorded_pictures = sorted(target.glob("*.png"))
     if not force:
-        refuse_existing(existing_pictures, target, "copy")
+        refuse_existing(recorded_pictures, target, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
@@ -150,7 +150,7 @@ def record_source_pictures(
         (draft_folder / target.name).mkdir()
         for path, file in files.items():
             (draft_folder / path).write_bytes(file)
-    for earlier_file in existing_pictures:
+    for earlier_file in recorded_pictures:
         if f"{target.name}/{earlier_file.name}" not in files:
             earlier_file.unlink()
     return SourcePictures(
@@ -200,7 +200,7 @@ def _match_cameras(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple
         raise InputUnreadable("is not a folder, expected one of training images", where=str(folder))
     camera_by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}
     paths = sorted(
-        (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES),
+        (path for path in folder.iterdir() if path.suffix.lower() in _PICTURE_SUFFIXES),
         key=lambda path: natural_key(path.name),
     )
     sources = [

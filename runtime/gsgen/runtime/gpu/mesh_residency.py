@@ -13,7 +13,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer, TextureView
 from gsgen.runtime.scene.mesh import MeshData
 
-_DUMMY_UV = np.zeros((1, 2), np.float32)
+_PLACEHOLDER_UV = np.zeros((1, 2), np.float32)
 _WHITE_TEXEL = np.full((1, 1, 4), 255, np.uint8)
 
 
@@ -59,7 +59,7 @@ class MeshResidency:
                 vertices=self._upload("mesh vertices", data.vertices),
                 faces=self._upload("mesh faces", data.faces),
                 colors=self._upload("mesh colors", data.colors),
-                uvs=self._upload("mesh uv", _DUMMY_UV if data.uv is None else data.uv),
+                uvs=self._upload("mesh uv", _PLACEHOLDER_UV if data.uv is None else data.uv),
                 picture=self._picture(_WHITE_TEXEL if data.texture is None else data.texture),
                 count=len(data),
             )

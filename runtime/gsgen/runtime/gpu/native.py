@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from gsgen.runtime.gpu.handles import Buffer, Promise, RawDevice, ShaderModule
 
-_TYPES_STRUCT: Final = "struct gsgen_native_types"
+_NATIVE_TYPES_STRUCT: Final = "struct gsgen_native_types"
 
 # Types besides pointers to structures, as wgpu spells them. Each is a key of cffi's table, so spaces
 # count; one that a version of wgpu spells otherwise is parsed when it is needed.
@@ -69,8 +69,8 @@ def parse_native_types() -> int:
     for text in filter(lambda text: _are_symbols_declared(text, names), _CALLBACK_TYPES):
         members[text] = text.replace("void(", "void (*{})(")
     fields = "".join(f"{member.format(f' _{k}')};" for k, member in enumerate(members.values()))
-    ffi.cdef(f"{_TYPES_STRUCT} {{{fields}}};")
-    for text, (_, field) in zip(members, ffi.typeof(_TYPES_STRUCT).fields, strict=True):
+    ffi.cdef(f"{_NATIVE_TYPES_STRUCT} {{{fields}}};")
+    for text, (_, field) in zip(members, ffi.typeof(_NATIVE_TYPES_STRUCT).fields, strict=True):
         # cffi keeps a type beside whether its name was that of a function.
         kind = field.type.item if text in _ARRAY_TYPES else field.type
         parsed_types.setdefault(text, (kind, text in _CALLBACK_TYPES))

@@ -20,10 +20,10 @@ class StagingBuffers:
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
         self._device, self._source_buffers = device, dict(sources)
-        self._offsets: dict[str, int] = {}
+        self._buffer_offsets: dict[str, int] = {}
         size = 0
         for name, buffer in self._source_buffers.items():
-            self._offsets[name] = size
+            self._buffer_offsets[name] = size
             size += -(-buffer.size // _BUFFER_ALIGNMENT) * _BUFFER_ALIGNMENT
         self._staging_buffer = device.readable("staging", size)
         self._map_promise: Promise | None = None
@@ -36,7 +36,7 @@ class StagingBuffers:
         for name in self._source_buffers if names is None else names:
             source = self._source_buffers[name]
             encoder.copy_buffer_to_buffer(
-                source, 0, self._staging_buffer, self._offsets[name], source.size
+                source, 0, self._staging_buffer, self._buffer_offsets[name], source.size
             )
 
     def begin(self) -> None:
@@ -65,7 +65,7 @@ class StagingBuffers:
         try:
             memory = np.frombuffer(self._staging_buffer.read_mapped(copy=False), np.uint8)
             return {
-                name: memory[self._offsets[name] :][: self._source_buffers[name].size]
+                name: memory[self._buffer_offsets[name] :][: self._source_buffers[name].size]
                 .view(dtype)
                 .copy()
                 for name, dtype in dtypes.items()

@@ -233,7 +233,7 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     if any(
         picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE_ALPHA for picture in pictures
     ):
-        frames = [_with_transparent_color(picture) for picture in pictures]
+        frames = [_palette_image(picture) for picture in pictures]
         options |= {
             "disposal": _DISPOSE_TO_BACKGROUND,
             "transparency": _TRANSPARENT_INDEX,
@@ -247,7 +247,7 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     frames[0].save(path, "gif", save_all=True, append_images=frames[1:], **options)
 
 
-def _with_transparent_color(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
+def _palette_image(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
     """Quantise a picture to 255 colours and a transparent one."""
     image = _image()
     is_opaque = picture[..., 3] >= _ALPHA_THRESHOLD

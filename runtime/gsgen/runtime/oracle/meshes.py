@@ -46,7 +46,7 @@ def cast_rays(
     meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]
 ) -> Surface:
     """Cast a camera's rays at meshes; return the nearest surfaces, coloured in ``color_space``."""
-    start, ray_direction = _rays(camera)
+    start, ray_direction = _camera_rays(camera)
     shape = ray_direction.shape[:3]
     depth = np.full(shape, np.inf)
     color, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -79,7 +79,7 @@ def cast_rays(
     return Surface(depth[0], color[0], normal[0], _edge_pixels(depth, color, normal))
 
 
-def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return origin and direction (of depth 1) of rays at several sub-pixel offsets per pixel."""
     x = np.arange(camera.width) + 0.5 + _SAMPLE_SHIFTS[:, 0, None]
     y = np.arange(camera.height) + 0.5 + _SAMPLE_SHIFTS[:, 1, None]

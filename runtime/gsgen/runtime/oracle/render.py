@@ -94,7 +94,7 @@ def _blend(
             previous_hit[previous_window] = False
             continue
         # Step 1: the splat's opacity at the pixels that it may reach.
-        unclamped_alpha, dx = _opacity(splats, i, inverses[i], window, camera)
+        unclamped_alpha, dx = _pixel_opacity(splats, i, inverses[i], window, camera)
         alpha = np.minimum(unclamped_alpha, MAX_ALPHA)
         # Step 2: where the layer of weighted sums is nearer, it takes its light first.
         if is_pending[window].any():
@@ -130,9 +130,9 @@ def _blend(
         normal[window] += contribution[..., None] * splats.normal[i]
         depth[window] += contribution * splats.depth[i]
         # Step 6: the median depth is where half of the light is gone.
-        is_median = is_hit & (light_before >= 0.5) & (light_after < 0.5)
-        median[window] = np.where(is_median, splats.depth[i], median[window])
-        ids[window] = np.where(is_median, splats.index[i], ids[window])
+        is_median_crossing = is_hit & (light_before >= 0.5) & (light_after < 0.5)
+        median[window] = np.where(is_median_crossing, splats.depth[i], median[window])
+        ids[window] = np.where(is_median_crossing, splats.index[i], ids[window])
         fragile_median[window] |= is_hit & (np.abs(light_after - 0.5) <= FRAGILE_BAND)
         transmittance[window] = np.where(is_drawn, light_after, light_before)
     # Step 7: behind all splats come the layer, and the meshes, which take the remaining light.
@@ -158,7 +158,7 @@ def _blend(
     )
 
 
-def _opacity(
+def _pixel_opacity(
     splats: Splats, i: int, inverse: np.ndarray, window: tuple[slice, slice], camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a Gaussian's opacities at the pixels of a window, and their horizontal offsets."""
@@ -213,8 +213,8 @@ def _blend_layer(
     normal[pixels] += remaining_transmittance[:, None] * layer.normal[pixels]
     depth[pixels] += remaining_transmittance * layer.alpha[pixels] * layer.depth[pixels]
     transmittance[pixels] = remaining_transmittance * (1 - layer.alpha[pixels])
-    is_median = (remaining_transmittance >= 0.5) & (transmittance[pixels] < 0.5)
-    median[pixels] = np.where(is_median, layer.depth[pixels], median[pixels])
+    is_median_crossing = (remaining_transmittance >= 0.5) & (transmittance[pixels] < 0.5)
+    median[pixels] = np.where(is_median_crossing, layer.depth[pixels], median[pixels])
     fragile_median[pixels] |= np.abs(transmittance[pixels] - 0.5) <= FRAGILE_BAND
 
 

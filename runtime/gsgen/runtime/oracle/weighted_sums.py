@@ -266,13 +266,15 @@ class _BlendState:
             most = np.where(is_larger, alpha, most)
             strongest_index = np.where(is_larger, k, strongest_index)
         # Step 6: the median depth is in the cell where half of the light is gone.
-        is_near_end = np.abs(entered_transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
-        self.fragile |= changed & (is_near_end | is_tied)
-        is_median = (entered_transmittance >= 0.5) & (self.transmittance < 0.5)
-        self.median[is_median] = splats.depth[strongest_index[is_median]]
-        self.ids[is_median] = splats.index[strongest_index[is_median]]
+        is_near_termination = np.abs(entered_transmittance / _MIN_TRANSMITTANCE - 1) <= FRAGILE_BAND
+        self.fragile |= changed & (is_near_termination | is_tied)
+        is_median_crossing = (entered_transmittance >= 0.5) & (self.transmittance < 0.5)
+        self.median[is_median_crossing] = splats.depth[strongest_index[is_median_crossing]]
+        self.ids[is_median_crossing] = splats.index[strongest_index[is_median_crossing]]
         is_near_half = np.abs(self.transmittance - 0.5) <= FRAGILE_BAND
-        is_uncertain_median = is_median & (second_opacity >= most * (1 - _EQUALITY_TOLERANCE))
+        is_uncertain_median = is_median_crossing & (
+            second_opacity >= most * (1 - _EQUALITY_TOLERANCE)
+        )
         self.fragile_median |= changed & (is_near_half | is_uncertain_median)
         return changed
 

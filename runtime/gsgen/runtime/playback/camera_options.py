@@ -214,12 +214,12 @@ def viewpoint(
     )
     camera_type, _, arguments = (text or "orbit").partition(":")
     if camera_type == "orbit":
-        numbers = _numbers(text or "", arguments, (0, 2, 3)) if arguments else ()
+        numbers = _parse_number_list(text or "", arguments, (0, 2, 3)) if arguments else ()
         azimuth, elevation = numbers[:2] or (_DEFAULT_AZIMUTH, _ELEVATION_DEGREES)
         radius = numbers[2] if len(numbers) > 2 else None
         return replace(viewpoint_base, orbit=(azimuth, elevation, radius))
     if camera_type == "look-at":
-        eye_and_target = _numbers(text or "", arguments, (6,))
+        eye_and_target = _parse_number_list(text or "", arguments, (6,))
         return replace(viewpoint_base, look_at=eye_and_target)
     from gsgen.runtime.camera_files import open_cameras, split_pick
 
@@ -254,7 +254,7 @@ def _does_path_exist(path: Path) -> bool:
         return False
 
 
-def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+def _parse_number_list(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in part.split(","))
     except ValueError as error:

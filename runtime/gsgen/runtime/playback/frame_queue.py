@@ -102,12 +102,12 @@ class FrameQueue:
     ) -> None:
         self._renderer, self._scene = renderer, scene
         self._background, self._outputs = background, outputs
-        self._frames: deque[tuple[FrameInFlight | Frame, list[_DataState]]] = deque()
+        self._queued_frames: deque[tuple[FrameInFlight | Frame, list[_DataState]]] = deque()
         self.waits = False
         self.statistics = PlayStatistics()
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self._queued_frames)
 
     def submit(self, camera: Camera) -> None:
         """Begin to draw the scene as a camera sees it.
@@ -118,7 +118,7 @@ class FrameQueue:
         draw = self._renderer.render if self.waits else self._renderer.submit
         with self._update_statistics():
             frame = draw(self._scene, camera, background=self._background, outputs=self._outputs)
-        self._frames.append((frame, self._states()))
+        self._queued_frames.append((frame, self._data_states()))
         self.statistics.in_flight = max(self.statistics.in_flight, len(self))
 
     def try_submit(self, camera: Camera) -> bool:
@@ -141,7 +141,7 @@ class FrameQueue:
         Raises:
             GsgenError: See :meth:`gsgen.runtime.renderer.renderer.Renderer.render`.
         """
-        queued_frame, states = self._frames.popleft()
+        queued_frame, states = self._queued_frames.popleft()
         self.statistics.frames += 1
         if isinstance(queued_frame, Frame):
             return queued_frame
@@ -153,7 +153,7 @@ class FrameQueue:
     def _redraw_frame(self, camera: Camera, states: list[_DataState]) -> Frame:
         """Draw a frame from the arrays that it was submitted with, and wait for it."""
         self.statistics.redrawn += 1
-        current_states = self._states()
+        current_states = self._data_states()
         for state in states:
             state.restore()
         try:
@@ -164,7 +164,7 @@ class FrameQueue:
             for state in current_states:
                 state.restore()
 
-    def _states(self) -> list[_DataState]:
+    def _data_states(self) -> list[_DataState]:
         sets = dict.fromkeys(splat_set.data for splat_set in self._scene.sets)
         return [_DataState.of(data) for data in sets]
 

@@ -88,7 +88,7 @@ class FrameSequence(Playback):
             sh_degree=sh_degree,
             antialias=antialias,
         )
-        self._view, self._mode, self.notes = view, mode, view.notes + notes
+        self._view, self._output_mode, self.notes = view, mode, view.notes + notes
         is_camera_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
         self._turn_degrees = (
             turn if turn is not None else (FULL_TURN_DEGREES if is_camera_turning else 0.0)
@@ -143,7 +143,9 @@ class FrameSequence(Playback):
         if needs_one_size and len(self._view.sizes) > 1:
             raise _differing_sizes(path, self._view.sizes)
         if suffix == ".npy":
-            arrays = [pictures.array_of(frame, self._mode) for frame in self._draw_frames(on_frame)]
+            arrays = [
+                pictures.array_of(frame, self._output_mode) for frame in self._draw_frames(on_frame)
+            ]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
         elif suffix in pictures.VIDEO_SUFFIXES:
             pictures.save_video(path, self._pictures(on_frame), self.fps)
@@ -155,7 +157,7 @@ class FrameSequence(Playback):
                     deep_pictures.save_png16(path, picture)
         elif suffix == deep_pictures.EXR_SUFFIX and self.frames == 1:
             for frame in self._draw_frames(on_frame):
-                deep_pictures.save_exr(path, frame, self._mode)
+                deep_pictures.save_exr(path, frame, self._output_mode)
         else:
             save = pictures.save_picture if bits == 8 else deep_pictures.save_png16
             for number, picture in enumerate(self._pictures(on_frame, bits)):
@@ -175,10 +177,10 @@ class FrameSequence(Playback):
         """Yield frames as integer images; the depth range of the first frame scales all of them."""
         depths: tuple[float, float] | None = None
         for frame in self._draw_frames(on_frame):
-            if depths is None and "depth" in self._mode:
-                depths = pictures.depth_range(pictures.array_of(frame, self._mode))
+            if depths is None and "depth" in self._output_mode:
+                depths = pictures.depth_range(pictures.array_of(frame, self._output_mode))
             convert = pictures.picture_of if bits == 8 else deep_pictures.picture16_of
-            yield convert(frame, self._mode, depths)
+            yield convert(frame, self._output_mode, depths)
 
     def summary(self) -> dict[str, object]:
         """Return size, device, and numbers of frames and Gaussians of a drawn sequence; its waits."""

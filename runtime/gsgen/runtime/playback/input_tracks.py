@@ -82,11 +82,11 @@ def input_track(text: str) -> Track:
         return Track(input_name, read_array(Path(value)), f"{where}={value}")
     first, separator, last = value.partition("..")
     if separator:
-        return Track(input_name, _numbers(text, f"{first},{last}"), where, sweep=True)
-    return Track(input_name, _numbers(text, value), where)
+        return Track(input_name, _parse_number_list(text, f"{first},{last}"), where, sweep=True)
+    return Track(input_name, _parse_number_list(text, value), where)
 
 
-def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
+def _parse_number_list(text: str, part: str) -> Shaped[np.ndarray, " n"]:
     try:
         numbers = [float(input_name) for input_name in part.split(",")]
     except ValueError as error:

@@ -171,12 +171,12 @@ def _read_file(path: Path) -> _PoseMotion:
         if path.exists() and not path.is_file():
             raise ValueError("the file is a pipe or a device")
         if path.suffix.lower() == ".json":
-            return _motion_of_json(json.loads(path.read_text("utf-8")), str(path))
+            return _motion_from_json(json.loads(path.read_text("utf-8")), str(path))
         arrays = read_array_file(path, _ARRAY_NAMES)
         if "" in arrays:
             return _PoseMotion(_with_frame_axis(arrays[""], str(path)), {})
         has_pose = any(name in arrays for name in _POSE_NAMES)
-        return _motion_of_arrays(arrays if has_pose else read_array_file(path), str(path))
+        return _motion_from_arrays(arrays if has_pose else read_array_file(path), str(path))
     except ArraysUnreadable as error:
         raise ConfigInvalid(error.message, where=str(path), hint=_MOTION_FORMATS) from error
     except OSError as error:
@@ -198,7 +198,7 @@ def _with_frame_axis(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."
     return numbers[None] if is_single_pose else numbers
 
 
-def _motion_of_json(document: object, where: str) -> _PoseMotion:
+def _motion_from_json(document: object, where: str) -> _PoseMotion:
     if (
         isinstance(document, list)
         and document
@@ -206,18 +206,18 @@ def _motion_of_json(document: object, where: str) -> _PoseMotion:
     ):
         return _join_frames(
             Path(where),
-            [_motion_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(document)],
+            [_motion_from_json(entry, f"{where}, frame {k}") for k, entry in enumerate(document)],
         )
     if isinstance(document, dict) and "body_pose" in document:
-        return _motion_of_lhm(document, where)
+        return _motion_from_lhm(document, where)
     if isinstance(document, dict):
-        return _motion_of_arrays(
+        return _motion_from_arrays(
             {name: np.asarray(values) for name, values in document.items()}, where
         )
     return _PoseMotion(_with_frame_axis(np.asarray(document), where), {})
 
 
-def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _PoseMotion:
+def _motion_from_lhm(document: Mapping[str, list[float]], where: str) -> _PoseMotion:
     parts = []
     for name, size in _BODY_PARTS.items():
         part = np.asarray(document.get(name, ()), np.float64).ravel()
@@ -233,7 +233,7 @@ def _motion_of_lhm(document: Mapping[str, list[float]], where: str) -> _PoseMoti
     return _PoseMotion(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
 
 
-def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _PoseMotion:
+def _motion_from_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _PoseMotion:
     names = [name for name in _POSE_NAMES if name in arrays]
     if not names and len(arrays) == 1:
         names = list(arrays)
@@ -250,10 +250,10 @@ def _motion_of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _PoseMoti
                 raise ConfigInvalid(message, where=f"{where}, {name}")
             extra_inputs[role] = rows.reshape(len(pose), size)
     rates = [(name, arrays[name]) for name in _RATE_FIELDS if name in arrays]
-    return _PoseMotion(pose, extra_inputs, _rate(*rates[0], where) if rates else None)
+    return _PoseMotion(pose, extra_inputs, _frame_rate(*rates[0], where) if rates else None)
 
 
-def _rate(name: str, array: np.ndarray, where: str) -> float:
+def _frame_rate(name: str, array: np.ndarray, where: str) -> float:
     rate = numbers_of(np.asarray(array), f"{where}, {name}")
     if rate.size != 1 or not rate.item() > 0:
         message = f"is {rate.ravel()[:3].tolist()}, expected frames per second above 0"

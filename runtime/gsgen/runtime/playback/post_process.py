@@ -57,7 +57,7 @@ class PostProcessor:
         confined: "ConfinedModels | None" = None,
     ) -> None:
         self.name = str(path)
-        self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
+        self._model_path, self._provider, self._sizes = path, provider, dict(sizes or {})
         self._confined_models = confined
         from gsgen.sdk.binding.bound.model_facts import read_model_facts
 
@@ -78,7 +78,7 @@ class PostProcessor:
         }
         self._session_and_size: tuple[tuple[int, int], FrameSession] | None = None
         if not self._axes:
-            self._session((0, 0))  # a model that cannot run raises before drawing begins
+            self._open_session((0, 0))  # a model that cannot run raises before drawing begins
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -115,7 +115,7 @@ class PostProcessor:
             )
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]
-        session = self._session((height, width))
+        session = self._open_session((height, width))
         session.update(values)
         binding = session.inputs[self._image]
         pixels = np.concatenate([_straight_alpha_srgb(frame, alpha), alpha], axis=-1)[
@@ -123,14 +123,14 @@ class PostProcessor:
         ]
         low, high = self.manifest.image_range
         image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(binding.dtype)
-        result = self._run(session, image)
+        result = self._run_model(session, image)
         return replace(
             frame,
             rgba=self._apply_alpha(result, alpha),
             color_space=self.manifest.outputs.image.color_space,
         )
 
-    def _run(
+    def _run_model(
         self, session: "FrameSession", image: Float[np.ndarray, "1 c h w"]
     ) -> Float[np.ndarray, "1 c h w"]:
         output = self.manifest.outputs.image.name
@@ -166,7 +166,7 @@ class PostProcessor:
             alpha = np.clip(image[..., 3:], 0, 1)
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
-    def _session(self, size: tuple[int, int]) -> "FrameSession":
+    def _open_session(self, size: tuple[int, int]) -> "FrameSession":
         """Return the ONNX Runtime session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
         if self._session_and_size is not None and self._session_and_size[0] == image_size:
@@ -176,7 +176,7 @@ class PostProcessor:
         from gsgen.sdk.binding import FrameSession
 
         session = FrameSession(
-            self._path,
+            self._model_path,
             provider=self._provider,
             sizes=sizes,
             confined=self._confined_models or False,

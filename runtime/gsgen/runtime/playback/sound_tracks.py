@@ -49,7 +49,7 @@ def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> 
             hint=_ARRAY_HINT,
         )
     samples, rate = read_sound(path)
-    samples = _resample(samples, rate, spec.rate)
+    samples = _resample_audio(samples, rate, spec.rate)
     frames = max(1, int(np.ceil(len(samples) / spec.rate * fps)))
     if 4 * frames * shape[0] > _MAX_BYTES:
         raise ConfigInvalid(
@@ -93,7 +93,7 @@ def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
     return audio_amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)
 
 
-def _resample(
+def _resample_audio(
     samples: Float32[np.ndarray, " n"], rate: float, target: float
 ) -> Float32[np.ndarray, " m"]:
     if rate == target:

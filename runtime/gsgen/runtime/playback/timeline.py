@@ -47,9 +47,9 @@ class Timeline:
                 where="--time",
                 hint="Leave the option out.",
             )
-        self._lengths = [self._length(track) for track in tracks]
+        self._track_lengths = [self._track_length(track) for track in tracks]
 
-    def _length(self, track: Track) -> int:
+    def _track_length(self, track: Track) -> int:
         """Return the number of frames of an input track, by the shapes of the track's inputs."""
         shapes = [
             model.shape(spec.name)
@@ -69,7 +69,7 @@ class Timeline:
     @property
     def frames(self) -> int:
         """The number of frames of the longest input track (values per frame); 1 without tracks."""
-        return max(self._lengths, default=1)
+        return max(self._track_lengths, default=1)
 
     @property
     def is_animated(self) -> bool:

@@ -91,12 +91,12 @@ class Plan:
         n = self._gaussians = sizes.splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         # Step 2: allocate what each frame writes: uniforms, counts, and buffers that begin as zeros.
-        self._frame = device.uniform("frame", FRAME.itemsize)
+        self._frame_uniform = device.uniform("frame", FRAME.itemsize)
         self._black_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
-        self.slabs = self._slabs(placed, sizes.splats, with_ids="depth" in outputs)
+        self.slabs = self._depth_slabs(placed, sizes.splats, with_ids="depth" in outputs)
         self._counts = self._storage("counts", counting.COUNTERS_BYTES, extra_usage="INDIRECT")
         initial_counts = counting.initial(n, method.pair_capacity, panorama=image.panorama)
         device.write(self._counts, initial_counts)
@@ -104,7 +104,7 @@ class Plan:
         self._records = kernels.records(n)
         self._projected_buffers, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {"frame": self._frame, "bare frame": self._black_frame}
+        self.inputs = {"frame": self._frame_uniform, "bare frame": self._black_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
         self._layers = self._allocate_input_layers(layers) if layers else None
         self.buffer_clears = self._cleared_buffers()
@@ -128,7 +128,7 @@ class Plan:
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
         if weighted_pairs:
-            frames = (self._frame, self._black_frame)
+            frames = (self._frame_uniform, self._black_frame)
             self._weighted_part = WeightedPart(
                 kernels, weighted_pairs, image, method, frames, self._layers
             )
@@ -153,7 +153,7 @@ class Plan:
         self.buffer_clears += part.buffer_clears
         self._counters["counts of cells"] = part.counts
 
-    def _slabs(
+    def _depth_slabs(
         self, placed: Sequence[PlacedPage], splats: int | None, *, with_ids: bool
     ) -> Slabs | None:
         """Return the depth ranges (slabs) in which a scene is drawn, one after the other."""
@@ -210,7 +210,7 @@ class Plan:
             self._kernels,
             TileLists(
                 storage=self._storage,
-                frame=self._frame,
+                frame=self._frame_uniform,
                 counts=self._counts,
                 order=order,
                 tiles_of=low_keys if self._kernels.lists else colors,
@@ -258,7 +258,7 @@ class Plan:
         )
         size = self.image.size
         self.images["color"] = self._storage("color image", kernel.row_bytes(size[0]) * size[1])
-        resources = (self._frame, self._counts, order, *self._splats, colors)
+        resources = (self._frame_uniform, self._counts, order, *self._splats, colors)
         image = self.images["color"]
         return kernel.step(size, resources, self._counts, image, self._meshes)
 
@@ -275,7 +275,7 @@ class Plan:
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
-        outputs = (self._frame, keys, *self._projected_buffers, colors, low_keys)
+        outputs = (self._frame_uniform, keys, *self._projected_buffers, colors, low_keys)
         if self.slabs is not None:
             steps = self.slabs.project_steps(
                 outputs,
@@ -295,7 +295,7 @@ class Plan:
             if page.slots is not None:
                 cull_kernel = self._kernels.cull_slots(page, panorama=self.image.panorama)
                 recorded_stages.append(
-                    cull_kernel.step(self._frame, keys, low_keys, self._slots, slot, page)
+                    cull_kernel.step(self._frame_uniform, keys, low_keys, self._slots, slot, page)
                 )
             kernel = self._kernels.project(
                 page, panorama=self.image.panorama, records=self._records
@@ -336,7 +336,7 @@ class Plan:
 
     def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
         self.images[name] = self._storage(f"{name} image", VEC4 * self.image.pixels)
-        frame = self._frame if name == "color" else self._black_frame
+        frame = self._frame_uniform if name == "color" else self._black_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
         kernel = self._kernels.blend(
@@ -429,7 +429,7 @@ class Plan:
         if self._weighted_part is not None:
             self._weighted_part.write(weighted_pages(placed), camera)
         placed = sorted_pages(placed)
-        for buffer, color in ((self._frame, background), (self._black_frame, np.zeros(3))):
+        for buffer, color in ((self._frame_uniform, background), (self._black_frame, np.zeros(3))):
             uniform = frame_uniform(band.full_camera, color, first_row=band.first, rows=band.rows)
             device.write(buffer, state.write_uniform(uniform))
         write_pages(device, placed, camera, self._slots)

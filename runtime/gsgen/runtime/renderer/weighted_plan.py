@@ -70,7 +70,7 @@ class WeightedPart:
             method,
             layers,
         )
-        self._frame, self._black_frame = frames
+        self._frame_uniform, self._black_frame = frames
         self._tiles = image.tiles(TILE)
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
@@ -173,7 +173,7 @@ class WeightedPart:
             "project cells": self._project_cells(placed, (*projected, keys, self.counts, low_keys)),
         }
         if normals is not None:
-            stages["project weighted"] += self._normals(placed, keys, normals)
+            stages["project weighted"] += self._normal_steps(placed, keys, normals)
         return stages
 
     def _project_slab(
@@ -193,17 +193,17 @@ class WeightedPart:
         keys, steps = list[Step](), list[Step]()
         for slot, (_, page) in enumerate(placed):
             assert page.cells is not None
-            bound_buffers = (self._frame, slabs.keys[slot])
+            bound_buffers = (self._frame_uniform, slabs.keys[slot])
             keys.append(kernel.key_step(*bound_buffers, self._slots, slot, page, page.cells))
             steps += slabs.place_steps(slot, self.counts, self._slots)
             project = self._kernels.project_weighted(page, panorama=panorama, slab="splats")
-            output_buffers = (self._frame, self.counts, *splats)
+            output_buffers = (self._frame_uniform, self.counts, *splats)
             steps.append(
                 project.step(
                     output_buffers, self._slots, slot, page, page.cells, slabs.place_buffer
                 )
             )
-            output_buffers = (self._frame, *cells, slabs.place_buffer)
+            output_buffers = (self._frame_uniform, *cells, slabs.place_buffer)
             steps.append(kernel.cell_step(output_buffers, self._slots, slot, page, page.cells))
             if normals is not None:
                 normals_kernel = self._kernels.normals(page, placed=True)
@@ -222,7 +222,7 @@ class WeightedPart:
         recorded_stages = []
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project_weighted(page, panorama=self._image.panorama)
-            bound_buffers = (self._frame, *outputs)
+            bound_buffers = (self._frame_uniform, *outputs)
             recorded_stages.append(kernel.step(bound_buffers, self._slots, slot, page, page.cells))
         return recorded_stages
 
@@ -230,13 +230,13 @@ class WeightedPart:
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
         kernel = self._kernels.project_cells(panorama=self._image.panorama)
-        bound_buffers = (self._frame, *outputs)
+        bound_buffers = (self._frame_uniform, *outputs)
         return [
             kernel.step(bound_buffers, self._cell_slots, slot, page.cells, _cells(page))
             for slot, (_, page) in enumerate(_weighted_sets(placed))
         ]
 
-    def _normals(
+    def _normal_steps(
         self, placed: Sequence[tuple[SplatSet, Page]], keys: Buffer, normals: Buffer
     ) -> list[Step]:
         return [
@@ -258,7 +258,7 @@ class WeightedPart:
         walk_rows = self._kernels.sort_config.walk_rows
         run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk_rows))
         measure_step, emit_step = self._kernels.bin_cells(panorama=self._image.panorama).steps(
-            self.counts, (self._frame, self.counts, order, cell_circles, run_pairs, *pairs)
+            self.counts, (self._frame_uniform, self.counts, order, cell_circles, run_pairs, *pairs)
         )
         scan_steps = self._kernels.scan.steps(
             self.counts, run_pairs, source=Counts.VISIBLE, block=walk_rows, total=Counts.PAIRS
@@ -298,7 +298,7 @@ class WeightedPart:
             bound_buffers = (self._black_frame, *resources, image)
             return kernel.step(self._tiles, bound_buffers, self._layers.depths)
         self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
-        frame = self._frame if name == "color" else self._black_frame
+        frame = self._frame_uniform if name == "color" else self._black_frame
         sums = (
             self._storage(f"{name} kept", 4 * PLANE_COUNT_BY_NORMAL[pick] * pixels)
             if uses_slabs

@@ -133,7 +133,7 @@ class Camera:
                 f"looks from {position.tolist()} at {target_position.tolist()}, expected two different points",
                 where="camera",
             )
-        up_vector = _direction("up", up)
+        up_vector = _unit_direction("up", up)
         focal = height / 2 / math.tan(math.radians(fov_y) / 2)
         view = geometry.look_at(position, target_position, up_vector)
         return cls(
@@ -170,7 +170,7 @@ class Camera:
             SceneInvalid: A number is out of range.
         """
         _require_number("radius", radius, must_be_positive=True)
-        axis = _direction("up", up)
+        axis = _unit_direction("up", up)
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
         rotation, elevation_radians = math.radians(azimuth), math.radians(elevation)
@@ -239,8 +239,8 @@ class Camera:
         panorama_height = max(1, round(width * y_scale / x_scale)) if height is None else height
         _require_image_side("height", panorama_height)
         fx, fy = width / x_scale, panorama_height / y_scale
-        up_vector = _direction("up", up)
-        forward_direction = _direction("toward", toward)
+        up_vector = _unit_direction("up", up)
+        forward_direction = _unit_direction("toward", toward)
         forward_direction -= up_vector * (up_vector @ forward_direction)
         if not np.linalg.norm(forward_direction) > 1e-6:
             raise SceneInvalid(
@@ -416,7 +416,7 @@ def _require_number(name: str, value: object, *, must_be_positive: bool = False)
         raise SceneInvalid(f"is {value!r}, expected {expected}", where=f"camera.{name}")
 
 
-def _direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]:
+def _unit_direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]:
     vector = np.asarray(components, np.float64)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < math.inf:

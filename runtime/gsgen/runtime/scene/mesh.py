@@ -67,7 +67,7 @@ class MeshData:
     ) -> None:
         self.vertices = _float_array(vertices, "vertices", (3,))
         self.faces = _faces(faces, len(self.vertices))
-        self.texture = None if texture is None else _texture(texture)
+        self.texture = None if texture is None else _rgba_texture(texture)
         self.uv = None if uv is None else _float_array(uv, "uv", (2,), len(self.vertices))
         if (self.uv is None) != (self.texture is None):
             missing_field = "uv" if self.uv is None else "texture"
@@ -177,7 +177,7 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
     return np.ascontiguousarray(source_array, np.uint32)
 
 
-def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
+def _rgba_texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
     source_array = np.asarray(array)
     is_valid = (
         source_array.ndim == 3

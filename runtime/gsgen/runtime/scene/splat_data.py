@@ -103,7 +103,7 @@ class SplatData:
         Raises:
             SceneInvalid: SciPy is not installed.
         """
-        spacing = _spacing(points.position)
+        spacing = _point_spacing(points.position)
         variance = (0.5 * np.minimum(spacing, 4 * np.median(spacing))) ** 2
         rows = np.zeros((len(points), layout.ROW_LENGTH), np.float32)
         rows[:, layout.POSITION] = points.position
@@ -167,7 +167,7 @@ class SplatData:
         return len(self.rows)
 
 
-def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def _point_spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     """Return the root mean square distance of each point to its three nearest neighbours."""
     try:
         from scipy.spatial import KDTree

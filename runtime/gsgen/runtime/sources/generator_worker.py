@@ -88,7 +88,7 @@ class GeneratorWorker:
             raise
         self.session: FrameSession = opened
         try:
-            self.manifest = _generator(path, opened)
+            self.manifest = _generator_manifest(path, opened)
         except SceneInvalid:
             self.close()
             raise
@@ -172,7 +172,7 @@ class GeneratorWorker:
         )
 
 
-def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
+def _generator_manifest(path: Path, session: "FrameSession") -> GeneratorManifest:
     manifest = session.manifest
     if not isinstance(manifest, GeneratorManifest):
         kind = f"is a {manifest.kind}" if manifest else "has no manifest"

@@ -66,9 +66,9 @@ def is_mesh(path: Path) -> bool:
         return False
     suffix = path.suffix.lower()
     if header.startswith((b"ply\n", b"ply\r\n")):
-        return _faces_in_ply(header) > 0 and not _splats_in_ply(header)
+        return _ply_face_count(header) > 0 and not _is_splat_ply(header)
     if header.startswith(b"glTF") or (kind is not None and kind.name.startswith("gltf")):
-        return _SPLAT_EXTENSION not in _json_of(path)
+        return _SPLAT_EXTENSION not in _gltf_json(path)
     # The first bytes of an STL file are free: they may look like another kind.
     if _is_binary_stl(header, size):
         return True
@@ -90,14 +90,14 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
     """
     file = Path(path)
     library = _trimesh()
-    kind = _kind(file)
+    kind = _mesh_kind(file)
     try:
         _require_plausible_sizes(file, kind)
         has_no_materials = kind == "obj" and not _has_materials(file)
-        scene = _load(library, file, kind, has_no_materials=has_no_materials)
+        scene = _load_mesh_scene(library, file, kind, has_no_materials=has_no_materials)
         is_gltf = kind in ("glb", "gltf")
         if is_gltf:
-            _require_textures(json.loads(_json_of(file)), scene)
+            _require_textures(json.loads(_gltf_json(file)), scene)
         meshes = tuple(_meshes(scene, file, is_gltf=is_gltf, has_no_materials=has_no_materials))
     except SceneUnreadable:
         raise
@@ -140,7 +140,7 @@ def _trimesh() -> ModuleType:
     return trimesh
 
 
-def _kind(path: Path) -> str:
+def _mesh_kind(path: Path) -> str:
     """Return the format of a mesh file, from its first bytes or else its name."""
     try:
         with path.open("rb") as file:
@@ -158,7 +158,9 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> "trimesh.Scene":
+def _load_mesh_scene(
+    library: ModuleType, path: Path, kind: str, *, has_no_materials: bool
+) -> "trimesh.Scene":
     """Load a mesh file with trimesh, without merging vertices, from its own folder only."""
     options = {"process": False}
     if kind == "obj":
@@ -172,12 +174,12 @@ def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool)
         warnings.simplefilter("ignore")
         warnings.filterwarnings("error", ".*decompression bomb")  # pictures of too much memory
         scene: trimesh.Scene = library.load_scene(
-            BytesIO(content), file_type=kind, resolver=_resolver(library, path), **options
+            BytesIO(content), file_type=kind, resolver=_resource_resolver(library, path), **options
         )
     return scene
 
 
-def _resolver(library: ModuleType, path: Path) -> Any:
+def _resource_resolver(library: ModuleType, path: Path) -> Any:
     """Return what opens the files that a mesh file names: regular files in its folder."""
 
     class RegularFiles(library.resolvers.FilePathResolver):  # type: ignore[name-defined, misc]
@@ -260,7 +262,7 @@ def _mesh_data(
         face_colors = np.asarray(visual.face_colors)[:, :3] / 255.0
         surface = _SurfaceMaterial(np.repeat(face_colors, 3, axis=0), _WHITE_RGB)
     else:
-        surface = _surface(geometry, has_no_materials=has_no_materials)
+        surface = _surface_material(geometry, has_no_materials=has_no_materials)
     is_colored = (
         surface.colors is not None
         or surface.texture is not None
@@ -281,7 +283,7 @@ def _mesh_data(
     return data, is_colored
 
 
-def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _SurfaceMaterial:
+def _surface_material(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _SurfaceMaterial:
     visual: Any = geometry.visual  # attributes depend on the kind
     attributes = geometry.vertex_attributes
     colors = None
@@ -318,7 +320,7 @@ def _has_materials(path: Path) -> bool:
     return bool(names) and not missing_files
 
 
-def _json_of(path: Path) -> bytes:
+def _gltf_json(path: Path) -> bytes:
     """Return the JSON text of a GLB or a glTF file."""
     with path.open("rb") as file:
         header = file.read(_GLB_HEADER.size)
@@ -329,24 +331,24 @@ def _json_of(path: Path) -> bytes:
         return file.read(_GLB_HEADER.unpack(header)[3])
 
 
-def _lines_of_ply(header: bytes) -> list[list[bytes]]:
+def _ply_header_lines(header: bytes) -> list[list[bytes]]:
     return [line.split() for line in header.partition(b"end_header")[0].splitlines()]
 
 
-def _counts_of_ply(header: bytes) -> dict[bytes, int]:
+def _ply_element_counts(header: bytes) -> dict[bytes, int]:
     return {
         words[1]: int(words[2])
-        for words in _lines_of_ply(header)
+        for words in _ply_header_lines(header)
         if len(words) == 3 and words[0] == b"element" and words[2].isdigit()
     }
 
 
-def _faces_in_ply(header: bytes) -> int:
-    return _counts_of_ply(header).get(b"face", 0)
+def _ply_face_count(header: bytes) -> int:
+    return _ply_element_counts(header).get(b"face", 0)
 
 
-def _splats_in_ply(header: bytes) -> bool:
-    names = {words[-1] for words in _lines_of_ply(header) if words[:1] == [b"property"]}
+def _is_splat_ply(header: bytes) -> bool:
+    names = {words[-1] for words in _ply_header_lines(header) if words[:1] == [b"property"]}
     return bool(names & {b"f_dc_0", b"scale_0", b"rot_0", b"packed_position"})
 
 
@@ -355,7 +357,7 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
     size = path.stat().st_size
     if kind == "ply":
         with path.open("rb") as file:
-            counts = _counts_of_ply(file.read(_MAX_HEADER_BYTES))
+            counts = _ply_element_counts(file.read(_MAX_HEADER_BYTES))
         for name, count in counts.items():
             _require_count(count, size, f"element {name.decode('ascii', 'replace')}")
     elif kind == "stl":
@@ -371,7 +373,7 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
 
 def _require_plausible_gltf(path: Path, size: int) -> None:
     """Raise if the counts or nodes of a glTF file would take unbounded memory or time."""
-    document = json.loads(_json_of(path))
+    document = json.loads(_gltf_json(path))
     if not isinstance(document, dict):
         message = f"the glTF document is a {type(document).__name__}, expected an object"
         raise SceneInvalid(message, where="JSON")

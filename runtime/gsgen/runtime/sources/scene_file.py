@@ -115,8 +115,8 @@ def read_scene(path: str | Path) -> SceneFile:
     version = fields.text(_VERSION_FIELD)
     if version is not None and version.split(".")[0] != VERSION.split(".")[0]:
         fields.refuse(_VERSION_FIELD, f"is {version!r}, expected {VERSION}")
-    models = tuple(_model(part, file.parent) for part in fields.parts("models"))
-    meshes = tuple(_mesh(part, file.parent) for part in fields.parts("meshes"))
+    models = tuple(_read_model_entry(part, file.parent) for part in fields.parts("models"))
+    meshes = tuple(_read_mesh(part, file.parent) for part in fields.parts("meshes"))
     if not models and not meshes:
         refuse(
             "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
@@ -129,7 +129,7 @@ def read_scene(path: str | Path) -> SceneFile:
         camera=_camera(fields, file.parent),
         width=fields.side("width"),
         height=fields.side("height"),
-        fov=_fov(fields),
+        fov=_read_fov(fields),
         up=fields.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
         kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
     )
@@ -237,7 +237,7 @@ def _reject_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return members
 
 
-def _model(fields: Fields, folder: Path) -> SceneModel:
+def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
     opacity_scale = fields.number("opacity_scale", low=0)
     model = SceneModel(
         path=folder / fields.required_text("path"),
@@ -256,7 +256,7 @@ def _model(fields: Fields, folder: Path) -> SceneModel:
     return model
 
 
-def _mesh(fields: Fields, folder: Path) -> SceneMesh:
+def _read_mesh(fields: Fields, folder: Path) -> SceneMesh:
     path = folder / fields.required_text("path")
     shading = fields.choice("shading", SHADINGS)
     part = SceneMesh(path, _read_transform(fields), shading, fields.where)
@@ -322,7 +322,7 @@ def _background(fields: Fields) -> tuple[float, float, float, float] | None:
     return color_of(text, fields.location("background"))
 
 
-def _fov(fields: Fields) -> float | None:
+def _read_fov(fields: Fields) -> float | None:
     degrees = fields.number("fov", low=0, high=180)
     if degrees in (0, 180):
         fields.refuse("fov", f"is {degrees:g} degrees, expected more than 0 and less than 180")

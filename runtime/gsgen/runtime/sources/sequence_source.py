@@ -16,7 +16,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import Source, StillFrameSource, Values
 
 _FRAME_INPUT: Final = "frame"
-_SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".npz")
+_SPLAT_SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".npz")
 _PRINTF_NUMBER_PATTERN: Final = re.compile(r"%(0?\d*)d")
 _TRAILING_NUMBER_PATTERN: Final = re.compile(r"\d+$")
 
@@ -46,7 +46,7 @@ def sequence_files(path: Path) -> list[Path]:
 
 
 def _is_frame(file: Path) -> bool:
-    is_splat_file = file.suffix.lower() in _SUFFIXES and not file.name.startswith(".")
+    is_splat_file = file.suffix.lower() in _SPLAT_SUFFIXES and not file.name.startswith(".")
     return is_splat_file and _TRAILING_NUMBER_PATTERN.search(file.stem) is not None
 
 
@@ -78,7 +78,7 @@ class SequenceSource(Source):
             self._require_equal_kind(file, frame, first)
             largest_count = max(largest_count, frame.data.count)
             channels = max(channels, frame.data.appearance.shape[1])
-        self._shape, self._number, self._loaded_number = (largest_count, channels), 0, 0
+        self._shape, self._file_number, self._loaded_number = (largest_count, channels), 0, 0
         rows, appearance = self._pad_rows(first.data)
         self.data = SplatData(rows, appearance, first.data.space, count=first.data.count)
 
@@ -104,22 +104,22 @@ class SequenceSource(Source):
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Choose the file of a frame; :meth:`finish` reads it."""
-        value = values.get(_FRAME_INPUT, values.get("frame_index", self._number))
+        value = values.get(_FRAME_INPUT, values.get("frame_index", self._file_number))
         number = int(np.asarray(value).reshape(-1)[0])
         if not 0 <= number < len(self.files):
             raise SceneInvalid(
                 f"the frame is {number}, expected 0 to {len(self.files) - 1}", where=self.name
             )
-        self._number = number
+        self._file_number = number
 
     def finish(self) -> None:
         """Read the file of the chosen frame, unless its Gaussians are the current ones."""
-        if self._number == self._loaded_number:
+        if self._file_number == self._loaded_number:
             return
-        data = StillFrameSource(self.files[self._number]).data
+        data = StillFrameSource(self.files[self._file_number]).data
         rows, appearance = self._pad_rows(data)
         self.data.update(rows, appearance, data.count)
-        self._loaded_number = self._number
+        self._loaded_number = self._file_number
 
     def abandon(self) -> None:
         """Return at once: a file is read in :meth:`finish` only."""

@@ -26,8 +26,8 @@ def align_world_origins(sources: Sequence[Source]) -> list[Source]:
             placed.append(source)
             continue
         transform = _space_transform(space, world_spaces[0])
-        is_same = np.array_equal(transform, np.eye(4))
-        placed.append(source if is_same else PlacedSource(source, transform))
+        is_same_origin = np.array_equal(transform, np.eye(4))
+        placed.append(source if is_same_origin else PlacedSource(source, transform))
     return placed
 
 

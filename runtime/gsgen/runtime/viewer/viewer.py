@@ -94,7 +94,7 @@ class Viewer:
         self._pressed_keys: frozenset[str] = frozenset()
         self._drag_button: int | None = None
         self._is_moving_slider = self._is_shift_held = False
-        self._pointer, self._ratio, self._size = (0.0, 0.0), 1.0, (1, 1)
+        self._pointer, self._pixel_ratio, self._size = (0.0, 0.0), 1.0, (1, 1)
         self._last_draw_time = clock()
         self.controls = self._make_controls()
 
@@ -159,7 +159,7 @@ class Viewer:
         slider = self.slider
         panels = self._overlay.panels(
             self._size,
-            self._ratio,
+            self._pixel_ratio,
             slider=(slider, self._slider_state()) if slider else None,
             message=self.message,
         )
@@ -199,7 +199,7 @@ class Viewer:
     @property
     def slider(self) -> Slider | None:
         """The state of the time slider, or None if nothing in the scene moves."""
-        return Slider(*self._size, self._ratio) if self.playback.frames > 1 else None
+        return Slider(*self._size, self._pixel_ratio) if self.playback.frames > 1 else None
 
     def _slider_state(self) -> SliderState:
         number, frames = self.playback.number, self.playback.frames
@@ -245,7 +245,7 @@ class Viewer:
         self.controls = self._make_controls()
 
     def _on_resize(self, event: Event) -> None:
-        self._ratio = float(event.get("pixel_ratio") or 1.0)
+        self._pixel_ratio = float(event.get("pixel_ratio") or 1.0)
 
     def _key_down(self, event: Event) -> None:
         key = str(event["key"])
@@ -290,7 +290,7 @@ class Viewer:
         if self._is_moving_slider:
             self._move_slider(self._surface_position()[0])
         elif self._drag_button == _MIDDLE_BUTTON or is_shift_drag:
-            self.controls.pan(right * self._ratio, down * self._ratio, *self._size)
+            self.controls.pan(right * self._pixel_ratio, down * self._pixel_ratio, *self._size)
         elif self._drag_button == _LEFT_BUTTON:
             self.controls.orbit(right, down)
         elif self._drag_button == _RIGHT_BUTTON:
@@ -310,7 +310,7 @@ class Viewer:
 
     def _surface_position(self) -> tuple[float, float]:
         """Return the position of the pointer in pixels of the surface."""
-        return self._pointer[0] * self._ratio, self._pointer[1] * self._ratio
+        return self._pointer[0] * self._pixel_ratio, self._pointer[1] * self._pixel_ratio
 
     # ----- actions of keys and of the pointer
 

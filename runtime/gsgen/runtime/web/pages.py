@@ -132,7 +132,9 @@ def served_page(models: Mapping[str, Path], view: ModelView) -> str:
     """Return the HTML page that shows the models at the given addresses of a server."""
     figures_html = [_figure_html(address, path, view) for address, path in models.items()]
     script = '<script type="module" src="/gsgen/gsgen.js"></script>'
-    return _page([path.name for path in models.values()], [script], figures_html, _RELOAD_SCRIPT)
+    return _page_html(
+        [path.name for path in models.values()], [script], figures_html, _RELOAD_SCRIPT
+    )
 
 
 _RELOAD_SCRIPT: Final = """
@@ -178,7 +180,7 @@ def single_file_page(
     head += [_inline_script(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
     figures_html = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
     start = '<script type="module">import "gsgen/gsgen.js";</script>'
-    return _page([path.name for path in models], head, figures_html, start)
+    return _page_html([path.name for path in models], head, figures_html, start)
 
 
 def _inlined_modules() -> dict[str, str]:
@@ -207,7 +209,7 @@ def _figure_html(address: str, path: Path, view: ModelView) -> str:
     )
 
 
-def _page(names: list[str], head: list[str], figures_html: list[str], end: str) -> str:
+def _page_html(names: list[str], head: list[str], figures_html: list[str], end: str) -> str:
     title = for_html(", ".join(names))
     return "\n".join(
         [

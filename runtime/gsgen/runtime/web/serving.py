@@ -70,7 +70,7 @@ class ModelServer(LocalServer):
                 _file, ort / name if ort else Path()
             )
         for address, path in self._models.items():
-            self._content_readers[address] = partial(_model, path, read)
+            self._content_readers[address] = partial(_model_content, path, read)
 
     def content(self, path: str) -> ContentTypeAndBytes | None:
         """Return content type and bytes of the file at a URL path; None if no file is there."""
@@ -95,7 +95,7 @@ def _file(path: Path) -> ContentTypeAndBytes:
     return _MIME_TYPES[path.suffix], path.read_bytes()
 
 
-def _model(path: Path, read: SplatReader) -> ContentTypeAndBytes:
+def _model_content(path: Path, read: SplatReader) -> ContentTypeAndBytes:
     return "application/octet-stream", model_bytes(path, read)
 
 

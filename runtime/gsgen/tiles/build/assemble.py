@@ -54,7 +54,7 @@ def write_index(
         Every file of the tileset: path → bytes and sha256.
     """
     output = Path(plan.output)
-    record, neural_files = _record(root), dict[str, tuple[int, str]]()
+    record, neural_files = _tile_record(root), dict[str, tuple[int, str]]()
     if generators:
         record, neural_files = add_neural_tiles(
             record,
@@ -105,7 +105,7 @@ def walk(tile: Tile) -> Iterator[Tile]:
         yield from walk(child)
 
 
-def _record(tile: Tile) -> TileRecord:
+def _tile_record(tile: Tile) -> TileRecord:
     contents = tuple(
         ContentRecord(
             uri=content.path,
@@ -125,7 +125,7 @@ def _record(tile: Tile) -> TileRecord:
         cell=tile.cell,
         splats=tile.splats,
         contents=contents,
-        children=tuple(_record(child) for child in tile.children),
+        children=tuple(_tile_record(child) for child in tile.children),
         oversized=tile.extra > 0,
     )
 

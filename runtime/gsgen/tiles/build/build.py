@@ -176,7 +176,7 @@ def build_tileset(
     record = None if fresh else is_complete(output, key)
     if record is not None:
         shutil.rmtree(output / WORK_FOLDER, ignore_errors=True)
-        return _up_to_date(output, record, skipped)
+        return _up_to_date_report(output, record, skipped)
     # 2. Plan: cells, partitions, top.
     plan_path = work / "plan.json"
     if not plan_path.exists():
@@ -230,7 +230,7 @@ def _write_build_report(
     )
 
 
-def _up_to_date(output: Path, record: JsonDict, skipped: int) -> BuildReport:
+def _up_to_date_report(output: Path, record: JsonDict, skipped: int) -> BuildReport:
     sizes = [entry["bytes"] for entry in record["files"].values()]
     return BuildReport(
         output=str(output),

@@ -121,7 +121,9 @@ def build_top_levels(plan: Plan, location: int) -> int:
         return 0
     below = [name for name, parent_cell in _parent_cells(plan).items() if parent_cell == location]
     _save_tiles(
-        plan, name, *_write_parent_tile(plan, location, [_load(plan, name) for name in below])
+        plan,
+        name,
+        *_write_parent_tile(plan, location, [_load_built_tiles(plan, name) for name in below]),
     )
     return 0
 
@@ -155,7 +157,7 @@ def _save_tiles(plan: Plan, name: str, tiles: list[Tile], mixture: Mixture) -> N
     write_json(_marker_file(plan, name), [tile.as_json() for tile in tiles])
 
 
-def _load(plan: Plan, name: str) -> BuiltTiles:
+def _load_built_tiles(plan: Plan, name: str) -> BuiltTiles:
     packed = np.load(Path(plan.work) / "tiles" / f"{name}.npy")
     return _load_tiles(plan, name), _unpack_mixture(packed)
 

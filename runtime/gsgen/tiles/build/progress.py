@@ -52,7 +52,7 @@ class JsonProgress(Progress):
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
-        self._phase_name, self._total, self._splats_done = "", 0, 0
+        self._phase_name, self._splat_total, self._splats_done = "", 0, 0
         self._start_time = self._last_write_time = time.monotonic()
 
     def __enter__(self) -> "JsonProgress":
@@ -62,21 +62,21 @@ class JsonProgress(Progress):
 
     def begin(self, phase: str, total: int) -> None:
         """Write a JSON line for the beginning of a phase of a tileset build."""
-        self._phase_name, self._total, self._splats_done = phase, total, 0
+        self._phase_name, self._splat_total, self._splats_done = phase, total, 0
         self._start_time = time.monotonic()
-        self._line()
+        self._write_line()
 
     def advance(self, splats: int) -> None:
         """Write the build's progress as a JSON line, once a second and when all splats are done."""
         self._splats_done += splats
-        if self._splats_done == self._total or time.monotonic() - self._last_write_time >= 1:
-            self._line()
+        if self._splats_done == self._splat_total or time.monotonic() - self._last_write_time >= 1:
+            self._write_line()
 
     def note(self, message: str) -> None:
         """Write a message about a tileset build as a JSON line."""
         self._emit_event({"event": "note", "message": message})
 
-    def _line(self) -> None:
+    def _write_line(self) -> None:
         self._last_write_time = time.monotonic()
         elapsed_seconds = self._last_write_time - self._start_time
         rate = self._splats_done / elapsed_seconds if elapsed_seconds > 0 else 0.0
@@ -84,9 +84,11 @@ class JsonProgress(Progress):
             "event": "progress",
             "phase": self._phase_name,
             "done": self._splats_done,
-            "total": self._total,
+            "total": self._splat_total,
             "splats_per_second": round(rate),
-            "eta_seconds": round((self._total - self._splats_done) / rate, 1) if rate else None,
+            "eta_seconds": round((self._splat_total - self._splats_done) / rate, 1)
+            if rate
+            else None,
         }
         self._emit_event(event)
 

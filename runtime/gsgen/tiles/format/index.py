@@ -201,7 +201,7 @@ def _tile(tile: TileRecord, quality: int) -> _WrittenTile:
         content = tile.contents[min(quality, len(tile.contents) - 1)]
         volume = box_numbers(content.low, content.high)
         document["content"] = {"boundingVolume": {"box": volume}, "uri": content.uri}
-        document["metadata"] = {"class": TILE_CLASS, "properties": _properties(tile)}
+        document["metadata"] = {"class": TILE_CLASS, "properties": _metadata_properties(tile)}
         low, high = np.minimum(low, content.low), np.maximum(high, content.high)
     for child in children:
         low, high = np.minimum(low, child.low), np.maximum(high, child.high)
@@ -214,7 +214,7 @@ def _tile(tile: TileRecord, quality: int) -> _WrittenTile:
     return _WrittenTile(document, low, high)
 
 
-def _properties(tile: TileRecord) -> JsonDict:
+def _metadata_properties(tile: TileRecord) -> JsonDict:
     properties: JsonDict = {
         "bytes": [content.size for content in tile.contents],
         "cell": float(tile.cell),

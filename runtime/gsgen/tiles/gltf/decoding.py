@@ -101,7 +101,7 @@ def read_header(container: Container, location: str, size: int) -> ContentHeader
     """Read the glTF JSON and SPZ headers of a tile's content, without decoding splats."""
     with raise_as_fault(location, Fault.CONTENT):
         primitives = tuple(
-            _primitive(container, primitive, where, location)
+            _read_primitive(container, primitive, where, location)
             for primitive, _, where in scene_primitives(container)
         )
         document = JsonObject(container.document, f"{location}, ", Fault.CONTENT)
@@ -113,7 +113,7 @@ def read_header(container: Container, location: str, size: int) -> ContentHeader
         )
 
 
-def _primitive(
+def _read_primitive(
     container: Container, primitive: JsonDict, where: str, location: str
 ) -> SplatPrimitive:
     attributes = object_member(primitive, "attributes", where)

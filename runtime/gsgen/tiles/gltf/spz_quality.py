@@ -43,7 +43,7 @@ class Quality:
     steps: int
 
 
-def _quality(
+def _spz_quality(
     alphas: int, colors: int, scales: int, rotations: int, sh_bits: tuple[int, int], steps: int
 ) -> Quality:
     bits = {"alphas": alphas, "colors": colors, "scales": scales, "rotations": rotations}
@@ -51,11 +51,11 @@ def _quality(
 
 
 SPZ_QUALITIES: Final = (
-    _quality(8, 8, 8, 8, (6, 6), 32),
-    _quality(7, 7, 8, 7, (5, 4), 16),
-    _quality(6, 6, 7, 6, (4, 3), 8),
-    _quality(5, 6, 7, 6, (4, 3), 4),
-    _quality(5, 5, 6, 5, (3, 2), 2),
+    _spz_quality(8, 8, 8, 8, (6, 6), 32),
+    _spz_quality(7, 7, 8, 7, (5, 4), 16),
+    _spz_quality(6, 6, 7, 6, (4, 3), 8),
+    _spz_quality(5, 6, 7, 6, (4, 3), 4),
+    _spz_quality(5, 5, 6, 5, (3, 2), 2),
 )
 """The ladder, finest first."""
 

@@ -116,7 +116,7 @@ class _Loader:
             extensions_used=document.texts("extensionsUsed"),
             extensions_required=document.texts("extensionsRequired"),
             content_extensions=gltf.texts("extensionsRequired") if gltf else None,
-            metadata=_properties(metadata),
+            metadata=_metadata_properties(metadata),
             y_up=asset.values.get("gltfUpAxis", "Y") != "Z",
         )
 
@@ -160,11 +160,11 @@ class _Loader:
             refine=refine,
             transform=transform,
             level=parent.level,
-            metadata=_properties(entry.optional("metadata")),
+            metadata=_metadata_properties(entry.optional("metadata")),
             neural=self._read_neural_tile(entry, document),
         )
         if "implicitTiling" in entry:
-            return self._implicit(entry, tile, document)
+            return self._expand_implicit(entry, tile, document)
         below = _Parent(transform, refine, parent.level + 1)
         contents, external_tiles = self._contents(entry, document, below)
         children = [*external_tiles]
@@ -312,7 +312,7 @@ class _Loader:
             self._report.note(error)  # the content stays, and is drawn instead
             return None
 
-    def _implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
+    def _expand_implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
         self._count_tiles(-1, entry.location)
         tree = read_implicit(
             entry, tile.volume, tile.geometric_error, tile.refine, document.path, document.classes
@@ -347,7 +347,7 @@ class _Loader:
         )
 
 
-def _properties(metadata: JsonObject | None) -> JsonDict:
+def _metadata_properties(metadata: JsonObject | None) -> JsonDict:
     """Return the properties of a 3D Tiles metadata entity."""
     properties = metadata.optional("properties") if metadata else None
     return dict(properties.values) if properties else {}

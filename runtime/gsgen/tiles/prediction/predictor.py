@@ -57,7 +57,7 @@ class ConstantVelocity:
         if len(self._poses) < 2 or self._poses[-1].time <= self._poses[0].time:
             return []
         last = self._poses[-1]
-        velocity, rate = _velocity(self._poses[0], last)
+        velocity, rate = _pose_velocity(self._poses[0], last)
         return [
             Pose(
                 last.time + seconds,
@@ -68,7 +68,7 @@ class ConstantVelocity:
         ]
 
 
-def _velocity(
+def _pose_velocity(
     first: Pose, last: Pose
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Return the mean velocity and rotation rate between two poses, in the tileset's root frame."""

@@ -87,7 +87,7 @@ class HorizonPrefetch:
         self._frustum_at, self._max_error = frustum_at, max_error
         self._time = 0.0
         self._last_plan_time: float | None = None
-        self._order: list[int] = []
+        self._tile_order: list[int] = []
 
     def observe(self, pose: Pose) -> None:
         """Record the camera pose of a frame."""
@@ -101,8 +101,8 @@ class HorizonPrefetch:
             or self._time - self._last_plan_time >= _PLAN_INTERVAL_SECONDS
         ):
             self._last_plan_time = self._time
-            self._order = self._plan()
-        return [tile for tile in self._order if not loaded[tile]]
+            self._tile_order = self._plan()
+        return [tile for tile in self._tile_order if not loaded[tile]]
 
     def _plan(self) -> list[int]:
         reach = min(PREDICTION_HORIZON, self._predictor.reach)

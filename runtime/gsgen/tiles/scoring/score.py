@@ -129,8 +129,8 @@ def score_tileset(
         expected = _draw(renderer, splats, cameras)
         pictures = {"scene": _first_picture_by_level(expected)}
         levels = []
-        for level in range(_depth(tileset) + 1):
-            progress(f"drawing level {level} of {_depth(tileset)}")
+        for level in range(_tileset_depth(tileset) + 1):
+            progress(f"drawing level {level} of {_tileset_depth(tileset)}")
             level_contents = list(level_cut(tileset.root, level))
             drawn, size = _read(store, tileset, level_contents)
             renders = _draw(renderer, drawn, cameras)
@@ -141,7 +141,9 @@ def score_tileset(
                     tiles=len(level_contents),
                     splats=len(drawn),
                     bytes=size,
-                    ssim={name: _similarity(renders[name], expected[name]) for name in renders},
+                    ssim={
+                        name: _mean_similarity(renders[name], expected[name]) for name in renders
+                    },
                 )
             )
     return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
@@ -164,7 +166,7 @@ def level_cut(root: Tile, level: int) -> Iterator[tuple[Tile, Content]]:
             pending += [(child, below) for child in reversed(tile.children)]
 
 
-def _depth(tileset: Tileset) -> int:
+def _tileset_depth(tileset: Tileset) -> int:
     """Return the number of refinements from the root to the finest tiles."""
     max_depth, pending = 0, [(tileset.root, 0)]
     while pending:
@@ -255,7 +257,7 @@ def _first_picture_by_level(pictures: dict[str, list[Picture]]) -> dict[str, Pic
     return {name: views[0] for name, views in pictures.items()}
 
 
-def _similarity(renders: list[Picture], expected: list[Picture]) -> float:
+def _mean_similarity(renders: list[Picture], expected: list[Picture]) -> float:
     return float(np.mean([ssim(a, b) for a, b in zip(renders, expected, strict=True)]))
 
 

@@ -27,10 +27,10 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
         The mean over pixels and channels, less a margin where the window is cut.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    mean_a, mean_b = _blur(a), _blur(b)
-    variance_a = _blur(a * a) - mean_a**2
-    variance_b = _blur(b * b) - mean_b**2
-    covariance = _blur(a * b) - mean_a * mean_b
+    mean_a, mean_b = _blur_image(a), _blur_image(b)
+    variance_a = _blur_image(a * a) - mean_a**2
+    variance_b = _blur_image(b * b) - mean_b**2
+    covariance = _blur_image(a * b) - mean_a * mean_b
     structure = (2 * covariance + _CONTRAST_CONSTANT) / (
         variance_a + variance_b + _CONTRAST_CONSTANT
     )
@@ -40,7 +40,7 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
     return float((structure * luminance).mean())
 
 
-def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
+def _blur_image(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
     """Convolve a picture with the SSIM window, without borders."""
     steps = np.arange(-_WINDOW_RADIUS, _WINDOW_RADIUS + 1)
     window = np.exp(-0.5 * (steps / _WINDOW_SIGMA) ** 2)

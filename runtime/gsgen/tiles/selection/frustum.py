@@ -69,7 +69,7 @@ class Frustum:
             ]
         )
         return cls(
-            planes=_planes(sides, np.zeros(5), turn, -turn @ position),
+            planes=_frustum_planes(sides, np.zeros(5), turn, -turn @ position),
             eye=np.asarray(position, np.float64),
             rotation=turn,
             focal=focal,
@@ -102,7 +102,7 @@ class Frustum:
                 sides[:4, 2] = offsets
             else:
                 distances[:4] = offsets / scale
-            planes = _planes(sides, distances, turn, shift)
+            planes = _frustum_planes(sides, distances, turn, shift)
         flat = camera.kind == "orthographic"
         return cls(
             planes=planes, eye=eye, rotation=turn, focal=focal * scale if flat else focal, flat=flat
@@ -150,13 +150,13 @@ class Frustum:
         unit_axes = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
         offset = self.eye - center
         along = np.einsum("nij,nj->ni", unit_axes, offset)
-        squares = np.square(np.maximum(np.abs(along) - lengths, 0)).sum(axis=1)
+        squared_distances = np.square(np.maximum(np.abs(along) - lengths, 0)).sum(axis=1)
         # A flat box has no direction along an axis of length 0: what remains of the offset.
         flat = (lengths == 0).any(axis=1)
         if flat.any():
             squared_rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
-            squares += np.where(flat, np.maximum(squared_rest, 0), 0)
-        return np.asarray(np.sqrt(squares))
+            squared_distances += np.where(flat, np.maximum(squared_rest, 0), 0)
+        return np.asarray(np.sqrt(squared_distances))
 
     def screen_space_error(
         self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, " n"]
@@ -173,7 +173,7 @@ class Frustum:
         return np.where(error > 0, pixels, 0.0)
 
 
-def _planes(
+def _frustum_planes(
     sides: Float64[np.ndarray, "k 3"],
     distances: Float64[np.ndarray, " k"],
     turn: Float64[np.ndarray, "3 3"],

@@ -20,7 +20,7 @@ _CHUNK_BYTES = 16 << 10
 _STALL_SECONDS = 60.0
 _RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
-_NOT_IN_NAMES: Final = frozenset("\\:\0")
+_FORBIDDEN_CHARACTERS: Final = frozenset("\\:\0")
 _MIME_TYPES: Final = {
     ".json": "application/json",
     ".glb": "model/gltf-binary",
@@ -35,7 +35,7 @@ _MIME_TYPES: Final = {
     ".jpg": "image/jpeg",
     ".svg": "image/svg+xml",
 }
-_NAMED_BY_DIGEST = re.compile(r"-[0-9a-f]{8}\.glb$")
+_DIGEST_NAME_PATTERN = re.compile(r"-[0-9a-f]{8}\.glb$")
 
 LogFunction = Callable[[str], None]
 
@@ -128,7 +128,7 @@ class _Handler(LocalHandler):
         file, status = Path(stream.name), os.fstat(stream.fileno())
         etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
         if etag in (self.headers.get("If-None-Match") or ""):
-            self._head(HTTPStatus.NOT_MODIFIED, file, etag, [])
+            self._write_head(HTTPStatus.NOT_MODIFIED, file, etag, [])
             return
         span = self._requested_byte_span(status.st_size, etag)
         if span is None:
@@ -144,7 +144,7 @@ class _Handler(LocalHandler):
             last = span.start + span.size - 1
             headers.append(("Content-Range", f"bytes {span.start}-{last}/{status.st_size}"))
         code = HTTPStatus.PARTIAL_CONTENT if is_partial_response else HTTPStatus.OK
-        self._head(code, file, etag, headers)
+        self._write_head(code, file, etag, headers)
         if with_body:
             self._send_body(stream, span, cut=cut)
 
@@ -178,12 +178,12 @@ class _Handler(LocalHandler):
         end = min(int(match[2]), size - 1) if match[2] else size - 1
         return _ByteSpan(start, end - start + 1) if start <= end else None
 
-    def _head(
+    def _write_head(
         self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
     ) -> None:
         self.send_response(status)
         kind = _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
-        is_immutable = _NAMED_BY_DIGEST.search(file.name) is not None
+        is_immutable = _DIGEST_NAME_PATTERN.search(file.name) is not None
         cache_control = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [
             ("Content-Type", kind),
@@ -233,7 +233,7 @@ class _Handler(LocalHandler):
 
 def _is_served_name(name: str) -> bool:
     """Return whether a file or folder of this name is served: hidden ones and ``..`` are not."""
-    return bool(name) and not name.startswith(".") and not set(name) & _NOT_IN_NAMES
+    return bool(name) and not name.startswith(".") and not set(name) & _FORBIDDEN_CHARACTERS
 
 
 def _chunks(stream: BinaryIO, size: int) -> Iterator[bytes]:

@@ -46,7 +46,7 @@ class HttpStore(Store):
 
     def size(self, path: str) -> int:
         """Return the size of a file on the web server in bytes, by a HEAD request."""
-        with _translate_faults(self._location(path)):
+        with _translate_faults(self._full_location(path)):
             return self._client.size(self._url_of_path(path))
 
     def read(
@@ -60,7 +60,7 @@ class HttpStore(Store):
         """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
-        with _translate_faults(self._location(path)):
+        with _translate_faults(self._full_location(path)):
             return self._client.read(
                 self._url_of_path(path),
                 max_bytes=limit,
@@ -85,14 +85,14 @@ class HttpStore(Store):
             StoreUnavailable: The server cannot be read now.
             TilesetInvalid: The file is larger than ``limit``.
         """
-        with _translate_faults(self._location(path)):
+        with _translate_faults(self._full_location(path)):
             return self._client.read(
                 self._url_of_path(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
             )
 
     def save(self, path: str, into: BinaryIO, limit: int = MAX_STORE_FILE_BYTES) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
-        with _translate_faults(self._location(path)):
+        with _translate_faults(self._full_location(path)):
             self._client.copy(
                 self._url_of_path(path), into, max_bytes=limit, deadline=self._deadline
             )
@@ -111,9 +111,9 @@ class HttpStore(Store):
         return view
 
     def _url_of_path(self, path: str) -> str:
-        return self._location(quote(path.encode("utf-8", "surrogatepass")))
+        return self._full_location(quote(path.encode("utf-8", "surrogatepass")))
 
-    def _location(self, path: str) -> str:
+    def _full_location(self, path: str) -> str:
         return f"{self.name}/{path}"
 
     def close(self) -> None:

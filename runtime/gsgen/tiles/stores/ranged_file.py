@@ -23,7 +23,7 @@ class RangedFile(io.RawIOBase):
     """
 
     def __init__(self, store: Store, path: str) -> None:
-        self._store, self._path = store, path
+        self._store, self._store_path = store, path
         self._size, self._position = store.size(path), 0
 
     def readable(self) -> bool:
@@ -57,7 +57,7 @@ class RangedFile(io.RawIOBase):
     def read_at(self, start: int, count: int) -> bytes:
         """Fetch a byte range independently of the file position; safe on several threads."""
         count = min(count, self._size - start)
-        return self._store.read(self._path, start=start, size=count) if count > 0 else b""
+        return self._store.read(self._store_path, start=start, size=count) if count > 0 else b""
 
     def close(self) -> None:
         """Close the file, and the tile store that the file is read from."""

@@ -59,12 +59,12 @@ class ZipStore(Store):
                 fault=Fault.CONTENT,
             ) from error
         try:
-            self._members = self._list()
+            self._members = self._list_members()
         except BaseException:
             self._file.close()
             raise
 
-    def _list(self) -> dict[str, zipfile.ZipInfo]:
+    def _list_members(self) -> dict[str, zipfile.ZipInfo]:
         try:
             with zipfile.ZipFile(cast(BinaryIO, self._file)) as archive:
                 members = archive.infolist()
@@ -131,7 +131,7 @@ class ZipStore(Store):
         if member.compress_type == zipfile.ZIP_STORED:
             data = self._read_range(first + start, count)
         elif member.compress_type == _DEFLATE_METHOD:
-            data = self._inflate(first, member.compress_size, start + count)[start:]
+            data = self._inflate_member(first, member.compress_size, start + count)[start:]
         else:
             method = member.compress_type
             raise self._damage_error(
@@ -144,7 +144,7 @@ class ZipStore(Store):
             raise self._damage_error(f"{member.filename} has other bytes than its CRC-32 tells")
         return data
 
-    def _inflate(self, first: int, packed: int, count: int) -> bytes:
+    def _inflate_member(self, first: int, packed: int, count: int) -> bytes:
         decompressor = zlib.decompressobj(wbits=-15)
         data = self._read_range(first, min(packed, count + (count >> 3) + (1 << 16)))
         try:
@@ -197,14 +197,14 @@ def write_archive(folder: Path, archive: Path) -> int:
     with replace_file(archive) as stream, zipfile.ZipFile(stream, "w") as packed:
         for path in paths:
             offset = stream.tell()
-            packed.writestr(_entry(path), (folder / path).read_bytes())
+            packed.writestr(_zip_entry(path), (folder / path).read_bytes())
             records.append(index_record(path, offset))
         records.sort(key=lambda record: index_sort_key(record[:16]))
-        packed.writestr(_entry(INDEX_NAME), b"".join(records))
+        packed.writestr(_zip_entry(INDEX_NAME), b"".join(records))
     return len(paths)
 
 
-def _entry(path: str) -> zipfile.ZipInfo:
+def _zip_entry(path: str) -> zipfile.ZipInfo:
     entry = zipfile.ZipInfo(path, _ARCHIVE_DATE)
     entry.external_attr = 0o644 << 16
     return entry

@@ -49,7 +49,7 @@ class ContentReader:
         *,
         qualities: TileQualities | None = None,
     ) -> None:
-        self._qualities = qualities
+        self._tile_qualities = qualities
         self._fetched_quality: dict[
             int, int
         ] = {}  # tile → quality of the files that were read last
@@ -71,9 +71,9 @@ class ContentReader:
         """
         store, size = self._store.for_one_tile(), 0
         containers: list[Container] = []
-        if self._qualities:
-            self._fetched_quality[tile] = self._qualities.next_quality(tile)
-        for content in self._entry(tile).contents:
+        if self._tile_qualities:
+            self._fetched_quality[tile] = self._tile_qualities.next_quality(tile)
+        for content in self._tile_entry(tile).contents:
             report = partial(_report_total_bytes, on_bytes, size)
             data = self._file(store, content.uri, report)
             size += len(data)
@@ -83,9 +83,9 @@ class ContentReader:
 
     def size(self, tile: int) -> int:
         """Return the number of bytes of the files that are requested next for a tile."""
-        if self._qualities is None:
+        if self._tile_qualities is None:
             return int(self._tree.size[tile])
-        return self._qualities.size(tile, self._qualities.next_quality(tile))
+        return self._tile_qualities.size(tile, self._tile_qualities.next_quality(tile))
 
     def read_model(self, neural: NeuralTile) -> bytes:
         """Return the bytes of the ONNX model that a neural tile declares.
@@ -120,7 +120,7 @@ class ContentReader:
         Raises:
             TilesetInvalid: A file is damaged, or its splats are not as many as declared.
         """
-        entry = self._entry(tile)
+        entry = self._tile_entry(tile)
         with self._full_locations():
             placed = [
                 part
@@ -154,11 +154,11 @@ class ContentReader:
             quality=self._fetched_quality.get(tile, 0),
         )
 
-    def _entry(self, tile: int) -> Tile:
+    def _tile_entry(self, tile: int) -> Tile:
         """Return a tile as listed in the tileset of the SPZ quality fetched last for it."""
-        if self._qualities is None:
+        if self._tile_qualities is None:
             return self._tree.tiles[tile]
-        return self._qualities.ladder.tiles[self._fetched_quality[tile]][tile]
+        return self._tile_qualities.ladder.tiles[self._fetched_quality[tile]][tile]
 
     @contextmanager
     def _full_locations(self) -> Iterator[None]:

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, final
 
 from platformdirs import user_cache_path
 
-_NAMED_BY_DIGEST: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
+_DIGEST_NAME_PATTERN: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
 
 # The lock leaves it one writer; the next one replaces what a killed process left.
 _DRAFT_NAME: Final = "draft.tmp"
@@ -131,7 +131,7 @@ class DiskCache:
 
 
 def _digest_in_name(path: str) -> str | None:
-    match = _NAMED_BY_DIGEST.search(path)
+    match = _DIGEST_NAME_PATTERN.search(path)
     return match[1] if match else None
 
 

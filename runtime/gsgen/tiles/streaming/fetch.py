@@ -117,7 +117,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
     def _begin_transfer(self, tile: int) -> None:
         """Start a thread that fetches a tile; the caller holds ``self._lock``."""
         request = self._active_requests[tile] = _Request(tile)
-        Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
+        Thread(target=self._run_request, args=(request,), name="gsgen-fetch", daemon=True).start()
 
     def progress(self, tile: int) -> float:
         """Return the received fraction of a tile's bytes; 1 while the tile is decoded."""
@@ -160,7 +160,7 @@ class FetchLink(Generic[FetchedType, DecodedType]):
                 request.is_cancelled = True
             self._active_requests.clear()
 
-    def _run(self, request: _Request) -> None:
+    def _run_request(self, request: _Request) -> None:
         try:
             data = self._fetch_content(request.tile, request.on_bytes)
         except _Cancelled:

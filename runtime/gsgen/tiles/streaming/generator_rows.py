@@ -48,7 +48,7 @@ def tile_rows(
     moved = _transform_rows(rows, linear)
     _require_valid_rows(moved, appearance, origin, box)
     sh_rows = np.zeros((len(rows), 3 * coefficients(sh_degree)), np.float32)
-    harmonics = _harmonics(appearance, space)
+    harmonics = _sh_coefficients(appearance, space)
     if harmonics.shape[1] > 1 and not np.array_equal(linear, np.eye(3)):
         left, _, right = np.linalg.svd(linear)
         harmonics = rotate_sh(harmonics, left @ right)
@@ -71,7 +71,7 @@ def _transform_rows(
     return moved
 
 
-def _harmonics(
+def _sh_coefficients(
     appearance: Float[np.ndarray, "n c"], space: Literal["sh", "rgb"]
 ) -> Float32[np.ndarray, "n k 3"]:
     """Return the Gaussians' appearance as SH coefficients; RGB colours become degree 0."""

@@ -58,12 +58,12 @@ class MetricsRecorder:
 
     def __init__(self, parent: Int64[np.ndarray, " n"], size: Int64[np.ndarray, " n"]) -> None:
         count = len(parent)
-        self._parent, self._size = parent, size
+        self._tile_parents, self._size = parent, size
         self._selected_tiles = np.zeros(count, bool)
         self._is_tile_unseen = np.zeros(count, bool)
         self._wanted_times_by_tile: dict[int, list[float]] = {}
         self._tile_delays: list[float] = []
-        self._hit_count = self._frames = self._good_frame_count = self._hole_frame_count = 0
+        self._hit_count = self._frame_count = self._good_frame_count = self._hole_frame_count = 0
         self._first_good_frame_time = math.nan
         self._start_seconds: float | None = None
         self._time = 0.0
@@ -104,7 +104,7 @@ class MetricsRecorder:
         self._tile_delays += [0.0] * hit_count
         for tile in np.flatnonzero(entries & ~loaded).tolist():
             self._wanted_times_by_tile.setdefault(tile, []).append(time)
-        self._frames += 1
+        self._frame_count += 1
         count, loaded_count = int(cut.selected.sum()), int((cut.selected & loaded).sum())
         if loaded_count >= GOOD_QUALITY_SHARE * count:
             self._good_frame_count += 1
@@ -118,7 +118,7 @@ class MetricsRecorder:
         """Return whether a wanted tile has neither content nor a loaded ancestor."""
         rows = np.flatnonzero(needed & ~loaded)
         while len(rows):
-            rows = self._parent[rows]
+            rows = self._tile_parents[rows]
             if (rows < 0).any():
                 return True
             rows = np.unique(rows[~loaded[rows]])
@@ -137,7 +137,7 @@ class MetricsRecorder:
             hit_rate=self._hit_count / count if count else 1.0,
             waste=self.unseen_bytes / self.bytes if self.bytes else 0.0,
             first_good_s=self._first_good_frame_time,
-            share_good=self._good_frame_count / self._frames if self._frames else 1.0,
+            share_good=self._good_frame_count / self._frame_count if self._frame_count else 1.0,
             mean_delay_s=float(tile_delays.mean()) if count else 0.0,
             p95_delay_s=float(np.percentile(tile_delays, 95)) if count else 0.0,
             hole_frames=self._hole_frame_count,

@@ -169,7 +169,7 @@ class NeuralTiles:
         self._loading_generators: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
         self._retry_at: dict[int, float] = {}
         self._pending_tiles: tuple[int, ...] = ()
-        self._tokens, self._token_time = 1.0, clock.now()
+        self._run_tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
         self._opener = GeneratorOpener(tree, read_model, options.provider, options.confined)
         self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
@@ -242,8 +242,8 @@ class NeuralTiles:
         inputs = {tile: self._inputs(tile, camera, values) for tile in tiles}
         self._close_unused_generators(tiles, time)
         if is_complete:
-            self._load(tiles)
-        self._run(inputs, camera, time)
+            self._load_generators(tiles)
+        self._run_generators(inputs, camera, time)
         updates = self._updates(uploaded)
         self._pending_tiles = tuple(t for t in tiles if not self._is_run_up_to_date(t, inputs[t]))
         if self._log and self._events:
@@ -308,8 +308,8 @@ class NeuralTiles:
         entry.drawn_inputs = entry.started_inputs
         self.runs += 1
         self._events.ran.append((tile, delta.count))
-        is_same = delta.rows is None and delta.appearance is None
-        if is_same and entry.result is not None and len(entry.result.rows) == delta.count:
+        is_unchanged = delta.rows is None and delta.appearance is None
+        if is_unchanged and entry.result is not None and len(entry.result.rows) == delta.count:
             return
         assert entry.rows is not None
         assert entry.appearance is not None
@@ -385,7 +385,7 @@ class NeuralTiles:
         for tile in unused_tiles[: max(excess_generator_count, 0)]:
             self._release_generator(tile)
 
-    def _load(self, tiles: Sequence[int]) -> None:
+    def _load_generators(self, tiles: Sequence[int]) -> None:
         """Begin to open the ONNX generator of the largest tile whose model is not open."""
         for tile in tiles:
             has_room = len(self._open_generators) < self._options.sessions
@@ -409,14 +409,16 @@ class NeuralTiles:
         value = float(np.asarray(values.get("time", span[0])).reshape(-1)[0])
         return min(max(value, span[0]), span[1])
 
-    def _run(self, inputs: Mapping[int, _RunInputs], camera: Camera, time: float) -> None:
+    def _run_generators(
+        self, inputs: Mapping[int, _RunInputs], camera: Camera, time: float
+    ) -> None:
         """Begin runs of ONNX generators whose inputs changed, up to the limit per second."""
         rate = self._options.runs_per_second
         if np.isfinite(rate):
-            self._tokens += rate * (time - self._token_time)
-            self._tokens = min(self._tokens, float(max(self._options.sessions, 1)))
+            self._run_tokens += rate * (time - self._token_time)
+            self._run_tokens = min(self._run_tokens, float(max(self._options.sessions, 1)))
         else:
-            self._tokens = np.inf
+            self._run_tokens = np.inf
         self._token_time = time
         ready = [
             tile
@@ -426,9 +428,9 @@ class NeuralTiles:
             and entry.drawn_inputs != run
         ]
         for tile in sorted(ready, key=lambda tile: (self._open_generators[tile].last_run, tile)):
-            if self._tokens < 1:
+            if self._run_tokens < 1:
                 break
-            self._tokens -= 1
+            self._run_tokens -= 1
             entry, run = self._open_generators[tile], inputs[tile]
             entry.started_inputs, entry.last_run = run, time
             entry.pending = entry.worker.start(

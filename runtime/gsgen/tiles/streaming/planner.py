@@ -28,7 +28,7 @@ _MAX_UNSEEN_FRACTION: Final = 0.25  # of the bytes: those that may still be seen
 _PREFETCH_TIMEOUT: Final = (
     2 * PREDICTION_HORIZON
 )  # seconds after which a prefetched tile counts as wasted
-_PRIOR_COUNT: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
+_PRIOR_TILE_COUNT: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
 
 
 class Link(Protocol):
@@ -196,8 +196,8 @@ class _PrefetchLedger:
     @property
     def precision(self) -> float:
         """The fraction of prefetched tiles that were seen in time; a half before the first tile."""
-        return (self._seen_count + _PRIOR_COUNT / 2) / (
-            self._seen_count + self._late_tile_count + _PRIOR_COUNT
+        return (self._seen_count + _PRIOR_TILE_COUNT / 2) / (
+            self._seen_count + self._late_tile_count + _PRIOR_TILE_COUNT
         )
 
     def arrive(self, tile: int, time: float) -> None:

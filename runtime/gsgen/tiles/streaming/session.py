@@ -196,7 +196,7 @@ class TilesetSession:
         qualities: TileQualities | None = None,
         make_predictor: Callable[[], Predictor] | None = None,
     ) -> None:
-        self._qualities = qualities
+        self._tile_qualities = qualities
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
@@ -309,8 +309,8 @@ class TilesetSession:
             is_complete=missing == 0
             and self._tile_fades.is_settled
             and (
-                self._qualities is None
-                or self._qualities.are_finest(cut.selected & is_available & ~is_failed)
+                self._tile_qualities is None
+                or self._tile_qualities.are_finest(cut.selected & is_available & ~is_failed)
             ),
         )
         if self._log:
@@ -347,8 +347,8 @@ class TilesetSession:
             self._planner.begin(tile)
         for result in results:
             if result.content is not None:
-                if self._qualities:
-                    size = self._qualities.size(result.tile, result.content.quality)
+                if self._tile_qualities:
+                    size = self._tile_qualities.size(result.tile, result.content.quality)
                     self.tree.size[result.tile] = size
                 self._planner.arrive(result.tile, time)
                 self._pending_arrivals[result.tile] = result.content
@@ -431,11 +431,11 @@ class TilesetSession:
         self._resident_tiles.protect(tile)  # no other arrival of the frame displaces it
         for evicted_tile in evicted_tiles:
             self._tile_fades.drop(evicted_tile)
-        if self._qualities:
+        if self._tile_qualities:
             for evicted_tile in evicted_tiles:
-                self._qualities.gpu_quality[evicted_tile] = -1
-                self.tree.size[evicted_tile] = self._qualities.coarsest_size[evicted_tile]
-            self._qualities.gpu_quality[tile] = arrival.quality
+                self._tile_qualities.gpu_quality[evicted_tile] = -1
+                self.tree.size[evicted_tile] = self._tile_qualities.coarsest_size[evicted_tile]
+            self._tile_qualities.gpu_quality[tile] = arrival.quality
         return evicted_tiles
 
     def _request(self, time: float, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
@@ -472,7 +472,7 @@ class TilesetSession:
 
     def _finer_files(self, time: float, cut: TileCut) -> list[int]:
         """Return the drawn tiles whose finest file is to be requested, in order of request."""
-        if self._qualities is None:
+        if self._tile_qualities is None:
             return []
         assert self._frustum is not None
         drawn = cut.selected & self._resident_tiles.resident & ~self._failed_tiles.mask(time)
@@ -482,6 +482,6 @@ class TilesetSession:
                 *([self._partial_upload.tile] if self._partial_upload else []),
             ]
         ] = False
-        ladder, gpu_quality = self._qualities.ladder, self._qualities.gpu_quality
+        ladder, gpu_quality = self._tile_qualities.ladder, self._tile_qualities.gpu_quality
         order = finer_file_order(self.tree, ladder, gpu_quality, drawn, self._frustum.eye)
         return [int(tile) for tile in order]

@@ -144,11 +144,11 @@ class TilesSource(Source):
                 self._pool.insert(*content, reserved_rows=reserved_count)
         has_rewritten = self._rewrite_rows(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
-        is_same = (
+        is_same_cut = (
             self._last_session_frame is not None and self._last_session_frame.drawn == frame.drawn
         )
-        is_same = is_same and not (frame.arrivals or frame.evicted or has_rewritten)
-        self._drawing_change_count += not is_same
+        is_same_cut = is_same_cut and not (frame.arrivals or frame.evicted or has_rewritten)
+        self._drawing_change_count += not is_same_cut
         self._last_session_frame = frame
         return frame
 

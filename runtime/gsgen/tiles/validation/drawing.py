@@ -192,7 +192,7 @@ class _TileRenderer:
             location=parent.location,
             children=len(cut),
             pixels=view.pixels,
-            ssim=float(np.mean([_similarity(a, b) for a, b in pairs])),
+            ssim=float(np.mean([_picture_similarity(a, b) for a, b in pairs])),
         )
 
     @property
@@ -290,7 +290,7 @@ class _View:
         )
 
 
-def _similarity(a: _RgbaImage, b: _RgbaImage) -> float:
+def _picture_similarity(a: _RgbaImage, b: _RgbaImage) -> float:
     """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
     covered_mask = (a[..., 3] > 0) | (b[..., 3] > 0)
     rows, columns = (_covered_slice(np.asarray(covered_mask.any(axis=axis))) for axis in (1, 0))

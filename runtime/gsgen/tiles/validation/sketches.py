@@ -92,7 +92,7 @@ def explicit_sketch(
         leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
     files: dict[str, bytes] = {}
     children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
-    root = _record(coarse_splats, 0, (0, 0, 0), codec, files)
+    root = _tile_record(coarse_splats, 0, (0, 0, 0), codec, files)
     root = replace(
         root, geometric_error=_GEOMETRIC_ERROR, cell=_GEOMETRIC_ERROR / 4, children=children
     )
@@ -108,12 +108,12 @@ def explicit_sketch(
 def _leaf_record(
     splats: Splats, number: int, codec: CodecName, files: dict[str, bytes]
 ) -> TileRecord:
-    leaf = _record(splats, 1, (number, 0, 0), codec, files)
+    leaf = _tile_record(splats, 1, (number, 0, 0), codec, files)
     center = np.array(_TILE_CENTERS[number])
     return replace(leaf, low=center - 2.0, high=center + 2.0)
 
 
-def _record(
+def _tile_record(
     splats: Splats,
     level: int,
     coordinates: tuple[int, int, int],
@@ -154,7 +154,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
         x, y, z = (-8 + 4 * value + 2.0 for value in cell)
         leaves[cell] = sample_splats(_ROW_COUNT, (x, y, z), seed=number)
     records = {
-        (2, cell): _record(splats, 2, cell, codec, files, implicit=True)
+        (2, cell): _tile_record(splats, 2, cell, codec, files, implicit=True)
         for cell, splats in leaves.items()
     }
     for level in (1, 0):
@@ -166,7 +166,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
                 for (depth, cell), entry in records.items()
                 if depth == level + 1 and _parent_coordinates(cell, 1) == (x, y, z)
             ]
-            entry = _record(coarse_splats, level, (x, y, z), codec, files, implicit=True)
+            entry = _tile_record(coarse_splats, level, (x, y, z), codec, files, implicit=True)
             records[level, (x, y, z)] = replace(
                 entry, geometric_error=0.5 * (2 - level), children=tuple(below)
             )

@@ -162,16 +162,16 @@ def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
 
 def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
     """Order validation rules so that each rule comes after the rules that it depends on."""
-    pending, ordered = list(rules), list[Rule]()
+    pending, ordered_rules = list(rules), list[Rule]()
     ids: set[str] = set()
     while pending:
         ready = [rule for rule in pending if ids.issuperset(rule.needs)]
-        ordered += ready
+        ordered_rules += ready
         ids |= {rule.id for rule in ready}
         pending = [rule for rule in pending if rule.id not in ids]
         if not ready:
-            return ordered + pending
-    return ordered
+            return ordered_rules + pending
+    return ordered_rules
 
 
 def _level_outcomes(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:

@@ -48,14 +48,14 @@ def diff(
             f"{fact_difference.kind}  {fact_difference.name}: {fact_difference.first} → {fact_difference.second}"
         )
     for output in outputs:
-        is_same = (
+        is_same_model = (
             "equal bits"
             if output.largest == 0
             else (
                 f"differ by up to {output.largest:.3g}, in {output.rows:,} rows (worst: {output.probe})"
             )
         )
-        echo(f"output  {output.role}: {is_same}")
+        echo(f"output  {output.role}: {is_same_model}")
     if reason:
         echo(f"outputs were not compared: {reason}")
     if code == ExitCode.SUCCESS:

@@ -92,13 +92,13 @@ def _model_facts(subject: "InspectedModel") -> dict[str, Any]:
         "producer": f"{file.proto.producer_name} {file.proto.producer_version}".strip(),
         "nodes": sum(1 for _ in graph.all_nodes()),
         "weights": len(graph.initializers),
-        "inputs": [_tensor(t.name, t.dtype, t.dims) for t in graph.inputs],
-        "outputs": [_tensor(t.name, t.dtype, t.dims) for t in graph.outputs],
+        "inputs": [_tensor_facts(t.name, t.dtype, t.dims) for t in graph.inputs],
+        "outputs": [_tensor_facts(t.name, t.dtype, t.dims) for t in graph.outputs],
         "manifest": json.loads(text) if text and subject.manifest else None,
     }
 
 
-def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
+def _tensor_facts(name: str, dtype: str | None, dims: object) -> dict[str, object]:
     return {"name": name, "dtype": dtype, "shape": dims}
 
 

@@ -106,11 +106,11 @@ def _print_reproduction(model: Path, reproduction: "Reproduction") -> None:
         return
     show([Line(f"{where}:", "bold")])
     show(finding_lines(reproduction.findings))
-    show([Line(text) for text in _table(reproduction)])
+    show([Line(text) for text in _reproduction_table(reproduction)])
     show([Line(f"reproduced: {reproduction.rule.id} is broken", "bold red")])
 
 
-def _table(reproduction: "Reproduction") -> list[str]:
+def _reproduction_table(reproduction: "Reproduction") -> list[str]:
     if not reproduction.rows:
         return []
     lines = [f"  rows at probe {reproduction.rows[0].probe}:"]

@@ -62,7 +62,7 @@ def _selected_rules(registry: "Registry", words: list[str]) -> "list[Rule]":
     """Return the validation rules that match any of the search ``words``, in catalogue order."""
     selected_ids: set[str] = set()
     for word in words:
-        ids = [rule.id for rule in registry.rules.values() if _matches(word, rule)]
+        ids = [rule.id for rule in registry.rules.values() if _matches_rule(word, rule)]
         if not ids:
             names = [rule.slug for rule in registry.rules.values()]
             raise UnknownName.among("rule", word, names, "WORD")
@@ -70,7 +70,7 @@ def _selected_rules(registry: "Registry", words: list[str]) -> "list[Rule]":
     return [rule for rule in registry.rules.values() if rule.id in selected_ids]
 
 
-def _matches(word: str, rule: "Rule") -> bool:
+def _matches_rule(word: str, rule: "Rule") -> bool:
     folded_word = word.casefold()
     return (
         rule.id.casefold().startswith(folded_word)

@@ -183,7 +183,10 @@ def _open_window(
     try:
         progress("uploading the scene and compiling shaders")
         window.open_window(
-            interface, _title(scenes), (home_camera.width, home_camera.height), after_draw=clear
+            interface,
+            _window_title(scenes),
+            (home_camera.width, home_camera.height),
+            after_draw=clear,
         )
     finally:
         interface.playback.close()
@@ -267,7 +270,7 @@ def _require_display(scenes: Sequence[Path]) -> None:
         raise DisplayUnavailable(error.message, hint=hint) from error
 
 
-def _title(scenes: Sequence[Path]) -> str:
+def _window_title(scenes: Sequence[Path]) -> str:
     return ", ".join(path.name for path in scenes) + " - gsgen"
 
 

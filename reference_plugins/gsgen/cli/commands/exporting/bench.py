@@ -155,7 +155,7 @@ def _print_benchmark(results: "list[BenchmarkResult]") -> None:
     console = Console(highlight=False)
     console.print(table)
     for result in results:
-        for note in _notes(result):
+        for note in _benchmark_notes(result):
             line = f"{Path(result.model).name} on {result.provider}: {note}"
             console.print(printable(line), markup=False, soft_wrap=True)
 
@@ -183,7 +183,7 @@ def _decimal_size(count: int) -> str:
     return f"{size:.3g} {units[0]}"
 
 
-def _notes(result: "BenchmarkResult") -> list[str]:
+def _benchmark_notes(result: "BenchmarkResult") -> list[str]:
     """Return remarks about a benchmark result: device, graph capture, nodes that ran on the CPU."""
     if result.state != "measured":
         return [result.reason]

@@ -153,5 +153,5 @@ app.command("html")(export_html)
 
 
 @app.callback()
-def _root() -> None:
+def _root_command() -> None:
     pass

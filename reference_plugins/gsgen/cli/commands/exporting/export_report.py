@@ -48,7 +48,7 @@ def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> 
         "rewrites": [
             {"name": change.rewrite, "nodes": list(change.nodes)} for change in outcome.changes
         ],
-        "parity": _parity(outcome.parity) if outcome.parity else None,
+        "parity": _parity_as_dict(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
     }
     if request.report is not None:
@@ -66,7 +66,7 @@ def _error(error: GsgenError) -> dict[str, Any]:
     }
 
 
-def _parity(parity: "Parity") -> dict[str, Any]:
+def _parity_as_dict(parity: "Parity") -> dict[str, Any]:
     fields = [
         {
             "field": field.field,

@@ -64,7 +64,7 @@ def rewrite(
 
     consumer = load_target(target)
     if listed:
-        _list(target, as_json=as_json)
+        _list_rewrites(target, as_json=as_json)
         return
     if model is None:
         raise ConfigInvalid("MODEL is missing, expected an ONNX file", where="gsgen rewrite")
@@ -103,7 +103,7 @@ def _split_names(names: list[str] | None) -> list[str]:
     return [name for entry in names or () for name in entry.split(",") if name]
 
 
-def _list(target: str, *, as_json: bool) -> None:
+def _list_rewrites(target: str, *, as_json: bool) -> None:
     from gsgen.contract.spec.targets import load_target
     from gsgen.sdk.passes.framework.base import RewriteTarget
     from gsgen.sdk.passes.registry import REWRITES

@@ -18,7 +18,7 @@ app = typer.Typer(
 
 
 @app.callback()
-def _group() -> None:
+def _command_group_root() -> None:
     pass
 
 

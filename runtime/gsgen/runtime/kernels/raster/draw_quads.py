@@ -154,7 +154,7 @@ class DrawQuads:
             image: A buffer with rows of :meth:`row_bytes`.
             meshes: Drawing of the meshes that hide splats, or None.
         """
-        texture = meshes.color if meshes else self._texture(size)
+        texture = meshes.color if meshes else self._create_texture(size)
         bind = self._device.raw.create_bind_group(
             label="quads",
             layout=self._layout,
@@ -178,7 +178,7 @@ class DrawQuads:
             depth=meshes.depth if meshes else None,
         )
 
-    def _texture(self, size: tuple[int, int]) -> Texture:
+    def _create_texture(self, size: tuple[int, int]) -> Texture:
         return self._device.texture(
             "image of quads", size, "rgba32float", "RENDER_ATTACHMENT|COPY_SRC"
         )

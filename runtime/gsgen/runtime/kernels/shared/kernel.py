@@ -73,7 +73,7 @@ class Kernel:
     def bind(self, *resources: Resource, group: int = 0) -> BindGroup:
         """Return a bind group of buffers, or of (buffer, offset, size), for the kernel."""
         entries = [
-            {"binding": binding, "resource": _resource(resource)}
+            {"binding": binding, "resource": _binding_resource(resource)}
             for binding, resource in enumerate(resources)
         ]
         return self._device.raw.create_bind_group(
@@ -89,7 +89,7 @@ def _layout(raw: RawDevice, label: str, kinds: str) -> BindGroupLayout:
     return raw.create_bind_group_layout(label=label, entries=entries)
 
 
-def _resource(resource: Resource) -> dict[str, object]:
+def _binding_resource(resource: Resource) -> dict[str, object]:
     buffer, offset, size = resource if isinstance(resource, tuple) else (resource, 0, resource.size)
     return {"buffer": buffer, "offset": offset, "size": size}
 

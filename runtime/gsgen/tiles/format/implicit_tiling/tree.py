@@ -162,7 +162,7 @@ def _expand_subtree(
     count_tiles(len(available_tiles), f"{tree.location}, subtree {_tile_label(origin)}")
     rows = {int(index): row for row, index in enumerate(available_tiles)}
     content_rows = [np.cumsum(bits) - 1 for bits in subtree.contents]
-    coordinates = _coordinates(tree, origin, available_tiles)
+    coordinates = _tile_coordinates(tree, origin, available_tiles)
     first_child_index = tile_count(tree.branching, tree.subtree_levels)
     # Tiles stand breadth first: from the last one back, children are built before their parent.
     tiles_by_index: dict[int, Tile] = {}
@@ -211,7 +211,7 @@ def _child_subtree_roots(
             yield tile
 
 
-def _coordinates(
+def _tile_coordinates(
     tree: ImplicitTree, origin: TileCoordinates, available_tiles: np.ndarray
 ) -> dict[int, TileCoordinates]:
     """Return the coordinates of a subtree's tiles, in the order of availability bits."""

@@ -206,9 +206,11 @@ def _subtree(
         return tile_count(_CHILDREN_PER_TILE, depth) + morton((local[0], local[1], local[2]))
 
     # Bits and rows of property tables are in breadth-first order, in Morton order on each level.
-    ordered = sorted(members, key=lambda cell: index(cell.record.level, cell.record.coordinates))
-    indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered]
-    content_cells = [cell for cell in ordered if cell.record.contents]
+    ordered_cells = sorted(
+        members, key=lambda cell: index(cell.record.level, cell.record.coordinates)
+    )
+    indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered_cells]
+    content_cells = [cell for cell in ordered_cells if cell.record.contents]
     content_indices = [index(c.record.level, c.record.coordinates) for c in content_cells]
     first = tile_count(_CHILDREN_PER_TILE, levels)
     children = [index(top + levels, child) - first for child in below]
@@ -218,7 +220,9 @@ def _subtree(
         "contentAvailability": [writer.bits(content_indices, first)],
         "childSubtreeAvailability": writer.bits(children, _CHILDREN_PER_TILE**levels),
         "tileMetadata": 0,
-        "propertyTables": [writer.table(TILE_CLASS, len(ordered), _tile_columns(ordered))],
+        "propertyTables": [
+            writer.table(TILE_CLASS, len(ordered_cells), _tile_columns(ordered_cells))
+        ],
     }
     if content_cells:
         columns = _content_columns(content_cells, quality)
@@ -250,7 +254,7 @@ class _SubtreeWriter:
     """Collects the bitstreams and property tables of an implicit subtree in one buffer."""
 
     def __init__(self) -> None:
-        self._data = bytearray()
+        self._buffer_data = bytearray()
         self._buffer_views: list[dict[str, int]] = []
 
     def bits(self, indices: list[int], count: int) -> dict[str, int]:
@@ -270,18 +274,18 @@ class _SubtreeWriter:
         return {"class": name, "count": count, "properties": properties}
 
     def _view(self, data: bytes) -> int:
-        view = {"buffer": 0, "byteLength": len(data), "byteOffset": len(self._data)}
+        view = {"buffer": 0, "byteLength": len(data), "byteOffset": len(self._buffer_data)}
         self._buffer_views.append(view)
-        self._data += data + bytes(-len(data) % _VIEW_ALIGNMENT)
+        self._buffer_data += data + bytes(-len(data) % _VIEW_ALIGNMENT)
         return len(self._buffer_views) - 1
 
     def file(self, document: JsonDict) -> bytes:
         """Return an implicit subtree as the bytes of a binary subtree file."""
         values = dict(document)
-        if self._data:
-            values["buffers"] = [{"byteLength": len(self._data)}]
+        if self._buffer_data:
+            values["buffers"] = [{"byteLength": len(self._buffer_data)}]
             values["bufferViews"] = self._buffer_views
         text = json_bytes(values)
         text += b" " * (-len(text) % _VIEW_ALIGNMENT)
-        header = _SUBTREE_HEADER.pack(b"subt", 1, len(text), len(self._data))
-        return header + text + bytes(self._data)
+        header = _SUBTREE_HEADER.pack(b"subt", 1, len(text), len(self._buffer_data))
+        return header + text + bytes(self._buffer_data)
