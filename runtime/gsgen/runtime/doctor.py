@@ -57,9 +57,9 @@ def checks() -> Iterator[Check]:
     if all(check.state == "ok" for check in windows):
         yield _check_screen()
     yield _widget()
-    remedy = "pip install 'gsgen[formats]'"
-    yield check_package("pillow", remedy, purpose="read SOG; write pictures")
-    yield check_package("zstandard", remedy, purpose="SPZ version 4")
+    install_command = "pip install 'gsgen[formats]'"
+    yield check_package("pillow", install_command, purpose="read SOG; write pictures")
+    yield check_package("zstandard", install_command, purpose="SPZ version 4")
     yield check_package("trimesh", _RUNTIME_INSTALL_HINT, purpose="read meshes")
 
 
@@ -109,16 +109,19 @@ def _check_screen() -> Check:
 
 def _widget() -> Check:
     """Check the packages for views in notebooks: rendercanvas needs anywidget or jupyter_rfb."""
-    remedy = "pip install anywidget"
+    install_command = "pip install anywidget"
     widgets = [
-        check_package(n, remedy, purpose=_NOTEBOOK_PURPOSE) for n in ("anywidget", "jupyter_rfb")
+        check_package(n, install_command, purpose=_NOTEBOOK_PURPOSE)
+        for n in ("anywidget", "jupyter_rfb")
     ]
     return next((check for check in widgets if check.state == "ok"), widgets[0])
 
 
-def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
+def _child_result(name: str, code: str, install_command: str, purpose: str) -> object:
     """Return the JSON that ``code`` prints in a child process, or a failed check."""
-    failed_check = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
+    failed_check = partial(
+        Check, name=name, state="broken", remedy=install_command, purpose=purpose
+    )
     try:
         finished_process = subprocess.run(
             [*python_command(), "-c", code],

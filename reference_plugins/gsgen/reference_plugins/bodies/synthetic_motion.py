@@ -20,11 +20,13 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     """
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, width)
-    along = np.linspace(0, 2 * np.pi, frames, endpoint=False)
-    poses = 0.03 * np.sin(along[:, None] + phase[None])
+    stride_phase = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    poses = 0.03 * np.sin(stride_phase[:, None] + phase[None])
     for side, sign in enumerate((1.0, -1.0)):
-        step = sign * np.sin(along)
-        leg_lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
+        step = sign * np.sin(stride_phase)
+        leg_lift = np.clip(
+            sign * np.cos(stride_phase), 0, None
+        )  # a leg is bent while it moves forward
         _turn_joint(
             poses,
             _HIP_JOINTS[side],
@@ -42,7 +44,9 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     np.savez(
         path,
         poses=poses,
-        trans=np.stack([0.02 * np.sin(along), 0.02 * np.cos(2 * along), 0 * along], axis=1),
+        trans=np.stack(
+            [0.02 * np.sin(stride_phase), 0.02 * np.cos(2 * stride_phase), 0 * stride_phase], axis=1
+        ),
         betas=rng.normal(size=16),
         mocap_framerate=np.array(30.0),
         gender=np.array("neutral"),

@@ -189,11 +189,11 @@ class R3Avatar(GaussianGenerator):
             mixed_scale = mixed_scale + part_shares[index : index + 1] * scale
         point = (self.position[0] + mixed_values[:3]).transpose(0, 1)
         vertex = appearance_rows[0][2]
-        least_distance = self._squared_distance(point, vertex)
+        nearest_distance = self._squared_distance(point, vertex)
         for _, _, candidate in appearance_rows[1:]:
             squared_distance = self._squared_distance(point, candidate)
-            vertex = torch.where(squared_distance < least_distance, candidate, vertex)
-            least_distance = torch.minimum(squared_distance, least_distance)
+            vertex = torch.where(squared_distance < nearest_distance, candidate, vertex)
+            nearest_distance = torch.minimum(squared_distance, nearest_distance)
         return mixed_values, mixed_scale, vertex
 
     def _squared_distance(

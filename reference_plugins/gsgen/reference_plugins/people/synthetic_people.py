@@ -133,8 +133,12 @@ def _lhm_tensors(
     quaternion = rng.normal(size=(count, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     neutral_transforms = np.tile(np.eye(4), (55, 1, 1))
-    left_vectors, _, right_vectors = np.linalg.svd(np.eye(3) + rng.normal(0, 0.03, (55, 3, 3)))
-    neutral_transforms[:, :3, :3] = left_vectors @ right_vectors  # the nearest rotations
+    left_singular_vectors, _, right_singular_vectors = np.linalg.svd(
+        np.eye(3) + rng.normal(0, 0.03, (55, 3, 3))
+    )
+    neutral_transforms[:, :3, :3] = (
+        left_singular_vectors @ right_singular_vectors
+    )  # the nearest rotations
     neutral_transforms[:, :3, 3] = rng.normal(0, 0.01, (55, 3))
     arrays = [
         rng.normal(0, 0.005, (count, 3)),

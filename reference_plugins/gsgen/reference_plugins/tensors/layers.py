@@ -10,13 +10,13 @@ from torch import Tensor, nn
 _MAX_EXPONENT = 80.0
 
 
-def proportion(logit: Tensor) -> Tensor:
+def proportion(logits: Tensor) -> Tensor:
     """Return the sigmoid, with a small relative error for small results too.
 
     The error of ONNX Runtime's Sigmoid on a CPU is 1e-7, however small the result: a Gaussian that
     is 1e-5 of its scale or smaller would get another shape.
     """
-    return torch.reciprocal(1 + torch.exp((-logit).clamp(max=_MAX_EXPONENT)))
+    return torch.reciprocal(1 + torch.exp((-logits).clamp(max=_MAX_EXPONENT)))
 
 
 class Dense(nn.Module):

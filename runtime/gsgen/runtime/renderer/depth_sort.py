@@ -112,23 +112,23 @@ class DepthOrder:
         histograms: tuple[Buffer, ...],
     ) -> tuple[list[Step], Columns]:
         """Return the dispatches that sort splats by the depths' low parts, then by depth keys."""
-        keys, low_columns = columns[0].keys, [columns[0]._replace(keys=spare_keys), columns[1]]
+        keys, low_key_columns = columns[0].keys, [columns[0]._replace(keys=spare_keys), columns[1]]
         # Step 1: sort by the remainders, which drops absent splats.
         first, side = self._sort_by_key(
-            capacity, counts, low_columns, histograms, first_keys=low_keys
+            capacity, counts, low_key_columns, histograms, first_keys=low_keys
         )
-        sorted_lows = low_columns[side]
+        sorted_lows = low_key_columns[side]
         # Step 2: fetch the depth key of each splat in that order.
         gather_step = self._gather_kernel().step(counts, keys, sorted_lows.values, sorted_lows.keys)
         if side:
-            low_columns.reverse()
+            low_key_columns.reverse()
         # Step 3: sort by the keys; this sort is stable, so that equal keys keep the order of remainders.
         next_steps, side = self._sort.steps(
             counts,
             histograms,
-            low_columns,
+            low_key_columns,
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
         )
-        return [*first, gather_step, *next_steps], low_columns[side]
+        return [*first, gather_step, *next_steps], low_key_columns[side]

@@ -82,13 +82,17 @@ def _is_floater(
         return no_floaters  # each Gaussian is a group that is large enough
     step = -(-len(centers) // _MAX_GROUPED_GAUSSIANS)
     low, high = np.percentile(centers[::step], _SPREAD_QUANTILES, axis=0)
-    spread = float((high - low + 2 * np.median(sigmas[::step], axis=0)).max())
-    side = spread * max(_MIN_CUBE_SIDE, _CUBE_SIDE_SPACINGS * len(no_floaters[::step]) ** (-1 / 3))
+    scene_spread = float((high - low + 2 * np.median(sigmas[::step], axis=0)).max())
+    side = scene_spread * max(
+        _MIN_CUBE_SIDE, _CUBE_SIDE_SPACINGS * len(no_floaters[::step]) ** (-1 / 3)
+    )
     if not 0 < side < np.inf:
         return no_floaters
     # 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.
     cube_coordinates = np.floor((centers - low) / side)
-    has_cube = (np.abs(cube_coordinates) < _GRID_SIZE).all(axis=1) & (sigmas <= spread).all(axis=1)
+    has_cube = (np.abs(cube_coordinates) < _GRID_SIZE).all(axis=1) & (sigmas <= scene_spread).all(
+        axis=1
+    )
     if not has_cube.any():
         return no_floaters
     keys = _keys(cube_coordinates[has_cube])

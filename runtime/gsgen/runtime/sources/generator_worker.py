@@ -74,7 +74,7 @@ class GeneratorWorker:
         self._stop = Stop()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="gsgen inference")
         try:
-            opened = self._worker.submit(
+            opened_session = self._worker.submit(
                 FrameSession,
                 path,
                 provider=provider,
@@ -86,9 +86,9 @@ class GeneratorWorker:
             self.interrupt()  # a model may run for ever
             self._worker.shutdown()
             raise
-        self.session: FrameSession = opened
+        self.session: FrameSession = opened_session
         try:
-            self.manifest = _generator_manifest(path, opened)
+            self.manifest = _generator_manifest(path, opened_session)
         except SceneInvalid:
             self.close()
             raise

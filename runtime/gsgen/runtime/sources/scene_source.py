@@ -69,15 +69,15 @@ def sources_of(
             sources.append(MeshSource(Path("meshes"), scene.meshes))
         return sources
     paths = [scene] if isinstance(scene, str | Path) else scene
-    opened: list[Source] = []
+    opened_sources: list[Source] = []
     try:
         for path in map(Path, paths):
             if is_scene_file(path):
-                opened += open_scene(path, stream=stream, confined=confined)
+                opened_sources += open_scene(path, stream=stream, confined=confined)
             else:
-                opened.append(open_source(path, stream=stream, confined=confined))
+                opened_sources.append(open_source(path, stream=stream, confined=confined))
     except BaseException:
-        for source in opened:
+        for source in opened_sources:
             source.close()
         raise
-    return opened
+    return opened_sources

@@ -154,8 +154,8 @@ class Frustum:
         # A flat box has no direction along an axis of length 0: what remains of the offset.
         flat = (lengths == 0).any(axis=1)
         if flat.any():
-            squared_rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
-            squared_distances += np.where(flat, np.maximum(squared_rest, 0), 0)
+            squared_remainder = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
+            squared_distances += np.where(flat, np.maximum(squared_remainder, 0), 0)
         return np.asarray(np.sqrt(squared_distances))
 
     def screen_space_error(

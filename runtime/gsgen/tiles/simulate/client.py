@@ -97,9 +97,9 @@ def simulate(
     loaded = np.array([not tile.contents for tile in tree.tiles])
     drawn_shares, received = [], []
     for pose in path:
-        while (delivery := link.advance(pose.time)) is not None:
-            loaded[delivery.tile] = True
-            planner.arrive(delivery.tile, delivery.time)
+        while (tile_delivery := link.advance(pose.time)) is not None:
+            loaded[tile_delivery.tile] = True
+            planner.arrive(tile_delivery.tile, tile_delivery.time)
             planner.fill(loaded)
         frustum = view.frustum(pose.position, pose.quaternion)
         cut = cut_tree(tree, frustum, view.max_error)

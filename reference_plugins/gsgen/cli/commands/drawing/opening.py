@@ -208,15 +208,15 @@ def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path
     from gsgen.sdk.binding.bound.model_facts import read_model_facts
 
     models = [path for path in paths if path.suffix.lower() == ".onnx"]
-    opened = {
+    open_sources = {
         path: {name for name, _ in read_model_facts(path, None).open_dimensions()}
         for path in models
     }
-    known_symbols = set().union(*opened.values())
+    known_symbols = set().union(*open_sources.values())
     for name in sizes:
         if name not in known_symbols:
             raise UnknownName.among("open dimension", name, known_symbols, "--size")
     return {
         path: {name: size for name, size in sizes.items() if name in names}
-        for path, names in opened.items()
+        for path, names in open_sources.items()
     }

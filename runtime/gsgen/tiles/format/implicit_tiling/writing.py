@@ -55,7 +55,7 @@ def write_implicit_tileset(
 ) -> list[str]:
     """Write ``tileset.json`` and the subtree files of an implicit octree.
 
-    Tiles of ``oversized`` records become explicit tiles beside the tree. Contents have to lie
+    Tiles of ``oversized_cells`` records become explicit tiles beside the tree. Contents have to lie
     where :func:`implicit_uri` says.
 
     Args:
@@ -73,15 +73,15 @@ def write_implicit_tileset(
         FileUnwritable: A file could not be written.
     """
     tiles: list[_Cell] = []
-    oversized: list[TileRecord] = []
-    low, high = _collect_cells(root, quality, tiles, oversized)
+    oversized_cells: list[TileRecord] = []
+    low, high = _collect_cells(root, quality, tiles, oversized_cells)
     wrapper_tile = TileRecord(
         level=0,
         coordinates=(0, 0, 0),
         low=low,
         high=high,
         geometric_error=max(root.geometric_error, float(np.linalg.norm(high - low))),
-        children=tuple(replace(tile, children=()) for tile in oversized),
+        children=tuple(replace(tile, children=()) for tile in oversized_cells),
     )
     document = tileset_document(
         wrapper_tile,
@@ -122,7 +122,7 @@ def _content(record: TileRecord, quality: int) -> ContentRecord | None:
 
 
 def _collect_cells(
-    record: TileRecord, quality: int, cells: list[_Cell], oversized: list[TileRecord]
+    record: TileRecord, quality: int, cells: list[_Cell], oversized_cells: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Append an octree tile and its descendants to ``cells``; return the tile's bounding box."""
     low, high = np.array(record.low, np.float64), np.array(record.high, np.float64)
@@ -134,12 +134,12 @@ def _collect_cells(
             raise ValueError(f"the URI of a tile content is {content.uri}, expected {expected}")
     for child in record.children:
         if child.oversized:
-            oversized.append(child)
+            oversized_cells.append(child)
             below = np.array(child.low), np.array(child.high)
             for entry in child.contents:
                 below = np.minimum(below[0], entry.low), np.maximum(below[1], entry.high)
         else:
-            below = _collect_cells(child, quality, cells, oversized)
+            below = _collect_cells(child, quality, cells, oversized_cells)
         low, high = np.minimum(low, below[0]), np.maximum(high, below[1])
     cells.append(_Cell(record, low, high))
     return low, high
