@@ -224,8 +224,8 @@ from gsgen.formats.shared.splats import PointCloud
 MAGIC = b"DOTS"
 
 
-def read_dots(path: FilePath) -> PointCloud:
-    """Read the white points of the DOTS file at ``path``."""
+def read_dots(path: FilePath, *, drop_invalid: bool = False) -> PointCloud:
+    """Read the white points of the DOTS file at ``path``; all of them can be drawn."""
     with contents(path) as data:
         points = np.frombuffer(data[len(MAGIC) :], "<f4").reshape(-1, 3).copy()
     return PointCloud(points, np.ones_like(points))

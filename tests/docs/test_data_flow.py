@@ -29,7 +29,7 @@ def stages() -> set[str]:
     text = "".join(inspect.getsource(part) for part in (frame_plan, tile_lists, weighted_plan))
     named = re.findall(r'stages\["([\w ]+)"\]', text)
     started = re.findall(
-        r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded\})',
+        r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded_stages\})',
         text,
         re.MULTILINE,
     )

@@ -4,7 +4,7 @@ Known folders are those that training code writes: 3DGS (``point_cloud/iteration
 (``nerfstudio_models``), gsplat (``ply``, ``ckpts``); and those of an unpacked SOG.
 """
 
-__all__ = ["STANDARD_INPUT", "TrainingFolder", "resolve_input", "training_folder"]
+__all__ = ["STANDARD_INPUT", "TRAINING_HINT", "TrainingFolder", "resolve_input", "training_folder"]
 
 import gzip
 import mmap
@@ -42,7 +42,7 @@ _TRAINING_LAYOUTS: Final = (
 )
 # Files and folders that the training code of most methods writes.
 _TRAINING_FILES: Final = ("cfg_args", "point_cloud", "point_cloud.ply")
-_TRAINING_HINT: Final = (
+TRAINING_HINT: Final = (
     "`gsgen export METHOD --checkpoint FOLDER -o OUT.onnx` exports the folder of a training; "
     "`gsgen plugins` lists the methods"
 )
@@ -182,7 +182,7 @@ def _find_file_in_folder(folder: Path) -> Path:
     raise FileUnreadable(
         "the path is a folder without a file of splats",
         expected="a file of splats, or a folder that holds one",
-        hint=_TRAINING_HINT if has_training else "",
+        hint=TRAINING_HINT if has_training else "",
     )
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
 from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
-from gsgen.formats.inputs import resolve_input, training_folder
-from gsgen.formats.shared.errors import FormatNotRecognised, NotSupported
+from gsgen.formats.inputs import TRAINING_HINT, resolve_input, training_folder
+from gsgen.formats.shared.errors import FormatError, FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
@@ -45,7 +45,12 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
     run = training_folder(path)
     file = resolve_input(path)
     codec = require_codec(file)
-    content = codec.read(file, drop_invalid=drop_invalid)
+    try:
+        content = codec.read(file, drop_invalid=drop_invalid)
+    except FormatError as error:
+        if run is not None and not error.hint:
+            error.hint = TRAINING_HINT
+        raise
     if run is not None:
         warn_unused(path, [f"file {name}" for name in run.unused])
     if isinstance(content, Splats):

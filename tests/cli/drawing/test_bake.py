@@ -74,7 +74,7 @@ def test_pose_file_gives_one_frame_per_pose(models: Path, tmp_path: Path) -> Non
             2,
             ("--pose", "the input 'pose', which no scene has"),
         ),
-        ("drift", ("-o", "file/a.ply"), 1, ("file/a.ply", "cannot be written")),
+        ("drift", ("-o", "file/a.ply"), 2, ("file/a.ply", "cannot be written")),
         ("post_process", ("-o", "a.ply"), 2, ("post_process.onnx", "post-process")),
         ("missing", ("-o", "a.ply"), 4, ("missing.onnx", "No such file")),
     ],

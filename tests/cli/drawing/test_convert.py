@@ -78,7 +78,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         ),
         (
             ("/dev/null/no/a.ply",),
-            1,
+            2,
             "/dev/null/no/a.ply: the file cannot be written: Not a directory\n",
         ),
     ],

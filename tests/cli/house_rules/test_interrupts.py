@@ -126,8 +126,8 @@ def _wait_until(condition: Callable[[], bool]) -> None:
 def test_a_thread_that_never_ends_does_not_keep_the_process(number: signal.Signals) -> None:
     code = (
         "import threading, time\n"
-        "from gsgen.contract.process.interrupts import ending_at_interrupts\n"
-        "with ending_at_interrupts(0.2):\n"
+        "from gsgen.contract.process.interrupts import end_on_interrupt\n"
+        "with end_on_interrupt(0.2):\n"
         "    threading.Thread(target=time.sleep, args=(10_000,)).start()\n"
         "    print('waits', flush=True)\n"
         "    time.sleep(10_000)\n"
@@ -187,8 +187,8 @@ def test_end_by_the_timer_removes_drafts(tmp_path: Path) -> None:
         "import os, signal, sys, time\n"
         "from pathlib import Path\n"
         "from gsgen.contract.process.drafts import temporary_folder\n"
-        "from gsgen.contract.process.interrupts import ending_at_interrupts\n"
-        "with ending_at_interrupts(0.1), temporary_folder(Path(sys.argv[1])):\n"
+        "from gsgen.contract.process.interrupts import end_on_interrupt\n"
+        "with end_on_interrupt(0.1), temporary_folder(Path(sys.argv[1])):\n"
         "    try:\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "    except KeyboardInterrupt:\n"

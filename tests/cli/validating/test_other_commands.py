@@ -135,7 +135,7 @@ def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> N
     [
         (None, "cannot be read: No such file"),
         (b"", "empty"),
-        (b"hello", "first bytes: 'hell'"),
+        (b"hello", "this is text that begins 'hello'"),
         (b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nend_header\n", "x"),
     ],
 )

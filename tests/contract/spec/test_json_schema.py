@@ -201,6 +201,6 @@ def test_absent_fields_are_not_written_but_empty_ones_that_mean_something_are():
 def test_numbers_take_the_type_of_their_field():
     document = {"name": "ab", "inner": {"count": 4.0, "x-note": []}, "pair": [1, 2]}
     result = from_json(Outer, document)
-    assert (result.inner_indices.count, result.pair) == (4, (1.0, 2.0))
-    assert isinstance(result.inner_indices.count, int)
+    assert (result.inner.count, result.pair) == (4, (1.0, 2.0))
+    assert isinstance(result.inner.count, int)
     assert isinstance(result.pair[0], float)

@@ -29,7 +29,7 @@ def options(rng: np.random.Generator, **fixed: object) -> AnchorOptions:
         "anchors": int(rng.integers(2, 40)),
         "per_anchor": int(rng.integers(1, 12)),
         "width": 4 * int(rng.integers(1, 9)),
-        "bank": bool(rng.integers(0, 2)),
+        "has_feature_bank": bool(rng.integers(0, 2)),
         "distance": tuple(bool(x) for x in rng.integers(0, 2, 3)),
         "appearance": appearance,
         "cameras": int(rng.integers(2, 6)) if appearance else 0,

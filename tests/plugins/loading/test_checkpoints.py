@@ -185,9 +185,9 @@ def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
         anchors=4, has_feature_bank=True, cameras=3, appearance=2, is_single_file=True
     )
     first = read_anchors(write_scaffold(tmp_path / "one", united_options)).nets
-    assert many_files.has_feature_bank is not None
-    assert first.has_feature_bank is not None
-    assert torch.equal(many_files.has_feature_bank.hidden, first.has_feature_bank.hidden)
+    assert many_files.feature_bank is not None
+    assert first.feature_bank is not None
+    assert torch.equal(many_files.feature_bank.hidden, first.feature_bank.hidden)
     assert torch.equal(many_files.color.out, first.color.out)
     assert torch.equal(many_files.embedding, first.embedding)  # type: ignore[arg-type]
 
@@ -235,7 +235,7 @@ def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Pat
     save(nets, united_options.parent)
     actual = read_anchors(tmp_path).nets
     assert expected.color.distance
-    for net in ("opacity", "covariance", "color", "bank"):
+    for net in ("opacity", "covariance", "color", "feature_bank"):
         for layer in ("hidden", "hidden_bias", "out", "out_bias", "distance"):
             a, b = (getattr(getattr(networks, net), layer) for networks in (actual, expected))
             assert a == b if layer == "distance" else torch.equal(a, b)
@@ -370,7 +370,7 @@ def test_without_options_inputs_are_inferred_from_networks(tmp_path: Path) -> No
     nets = read_anchors(tmp_path).nets
     heads = (nets.opacity, nets.covariance, nets.color)
     assert tuple(head.distance for head in heads) == options.distance
-    assert nets.has_feature_bank is not None
+    assert nets.feature_bank is not None
 
 
 @pytest.mark.parametrize("flag", ["no_grid", "all off"])

@@ -252,7 +252,7 @@ def decoded(read: R3Checkpoint, pose_id: int) -> dict[str, np.ndarray]:
             product = product * sampled[0, :, 0].t()
         features.append(product)
     h = torch.cat(features, 1)
-    for weight, bias in read.inner_indices:
+    for weight, bias in read.inner:
         h = torch.relu(F.linear(h, weight.double(), bias.double()))
     outputs = {
         name: F.linear(h, weight.double(), bias.double()).numpy()

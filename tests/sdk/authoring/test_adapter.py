@@ -62,7 +62,7 @@ def test_a_module_that_returns_a_dict_is_wrapped_and_exported(tmp_path: Path) ->
     generator = wrap(module, inputs=INPUTS, outputs=OUTPUT_MAPPING, family="4d")
     check(first(generator), module)
     exported = export(generator, tmp_path / "m.onnx")
-    assert exported.parity.is_prediction_confirmed
+    assert exported.parity.holds
     assert exported.manifest.family == "4d"
     assert [entry.role for entry in exported.manifest.inputs] == ["time", "control"]
 

@@ -39,7 +39,7 @@ def test_a_module_is_exported_with_parity_and_has_kernels_that_are_captured(
 ) -> None:
     assert len(NEWEST_RELEASE.tables) == 1
     result = export(module(), tmp_path / "m.onnx", settings=STATIC, verify="quick")
-    assert result.parity.is_prediction_confirmed
+    assert result.parity.holds
     assert result.parity.probes >= 2
     assert graph_stats(result.path, NEWEST_RELEASE).uncaptured == ()
     note = NOTES.get(module.__name__)

@@ -105,7 +105,7 @@ def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
 
 def test_harmless_hazard_is_not_reported(tmp_path: Path) -> None:
     exported = export(hazards.RebuiltFromFloats(), tmp_path / "m.onnx")
-    assert exported.parity.is_prediction_confirmed
+    assert exported.parity.holds
     assert exported.parity.probes == 13
 
 

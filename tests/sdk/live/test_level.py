@@ -191,7 +191,7 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 def live_run(path, *frames, **changes) -> LiveLevel:
     subject = inspect_model(open_model(path), LIVE_SETTINGS.target, Limits())
     result = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
-    facts = {"nodes": (), "accepted": True, "stop": None} | changes
+    facts = {"nodes": (), "is_capture_accepted": True, "stop": None} | changes
     return LiveLevel(subject=subject, adapter="made up", frames=tuple(result), **facts)
 
 
@@ -321,4 +321,4 @@ def test_node_placement_is_reported_by_name(good):
     nodes = (Node(WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
     assert live_run(good, nodes=nodes).nodes[1].name == "r"
     assert live_run(good).state == "accepted, 0 replays"
-    assert live_run(good, accepted=False).state == "not tried"
+    assert live_run(good, is_capture_accepted=False).state == "not tried"

@@ -162,7 +162,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     path: Path = tmp_path_factory.mktemp("ensemble") / "m.onnx"
     settings = Settings(level=Level.LIVE, fail_on=Severity.INFO)
     exported = export(Ensemble(), path, target="webgpu", settings=settings)
-    assert exported.parity.is_prediction_confirmed
+    assert exported.parity.holds
     return exported.report
 
 

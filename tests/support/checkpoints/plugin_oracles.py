@@ -51,9 +51,9 @@ def anchors(
     d = v.norm(dim=1, keepdim=True)
     v = v / d
     level = [cloud.level.double()[visible][:, None]] if nets.level else []
-    if nets.has_feature_bank is not None:
+    if nets.feature_bank is not None:
         bank_inputs = [v, *level] if octree else [v, d]
-        w = torch.softmax(_mlp(nets.has_feature_bank, torch.cat(bank_inputs, 1)), 1)[:, :, None]
+        w = torch.softmax(_mlp(nets.feature_bank, torch.cat(bank_inputs, 1)), 1)[:, :, None]
         f = feature[:, :, None]
         f = (
             f[:, ::4].repeat(1, 4, 1) * w[:, :1]

@@ -44,7 +44,7 @@ def of_anchors(read: AnchorCheckpoint, *, turned: bool = False) -> int:
     retained = [cloud.position, cloud.offset, cloud.feature, cloud.log_scale]
     retained += [cloud.rotation] if turned else []
     levels = [cloud.level, cloud.extra_level]
-    heads = (nets.opacity, nets.covariance, nets.color, nets.has_feature_bank)
+    heads = (nets.opacity, nets.covariance, nets.color, nets.feature_bank)
     return _sum([*retained, *levels, nets.embedding]) + sum(_mlp(net) for net in heads)
 
 

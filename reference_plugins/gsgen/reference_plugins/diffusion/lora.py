@@ -62,7 +62,7 @@ _UNSUPPORTED_ADAPTER_KINDS = {
 class LoraPair:
     """The two low-rank matrices of a LoRA that change one layer, and their scale."""
 
-    down_matrix: Tensor | None = None  # A, [r, i] or [r, i, h, w]
+    down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
     up: Tensor | None = None  # B, [o, r] or [o, r, 1, 1]
     alpha: float | None = None  # α of the layer, if the file has it
 
@@ -241,7 +241,7 @@ def merge(adapter: Adapter, scale: float, layers_of_unet: Mapping[str, nn.Module
         )
     alpha_shares = set()
     for name, pair in adapter.pairs.items():
-        layer, down_matrix = layers_of_unet[name], pair.down_matrix
+        layer, down_matrix = layers_of_unet[name], pair.down
         assert down_matrix is not None
         alpha_shares.add(alpha_share := adapter.alpha_share(name, pair, len(down_matrix)))
         weight = layer.weight
@@ -259,11 +259,11 @@ def _lora_mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
     """Return the reason why a LoRA change does not fit a layer; empty if it fits."""
     if layer is None:
         return "is not a layer of the networks"
-    if pair.down_matrix is None or pair.up is None:
-        return f"has no {'lora_A or down' if pair.down_matrix is None else 'lora_B or up'}"
+    if pair.down is None or pair.up is None:
+        return f"has no {'lora_A or down' if pair.down is None else 'lora_B or up'}"
     weight = layer.weight
     assert isinstance(weight, Tensor)
-    down_matrix, up = _kernel(pair.down_matrix), _kernel(pair.up)
+    down_matrix, up = _kernel(pair.down), _kernel(pair.up)
     has_fitting_shape = (
         down_matrix.ndim == up.ndim == 4
         and len(down_matrix) > 0
@@ -271,15 +271,15 @@ def _lora_mismatch(pair: LoraPair, layer: nn.Module | None) -> str:
     )
     if has_fitting_shape and (len(up), *down_matrix.shape[1:]) == _kernel(weight).shape:
         return ""
-    actual = f"{list(pair.up.shape)} × {list(pair.down_matrix.shape)}"
+    actual = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
     return f"has {actual}, which does not fit the weight {list(weight.shape)}"
 
 
 def _pair_product(pair: LoraPair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """Return the product B A of the LoRA matrices in float64, in the layer's weight shape."""
-    assert pair.down_matrix is not None
+    assert pair.down is not None
     assert pair.up is not None
-    down_matrix, up = _kernel(pair.down_matrix.double()), pair.up.double().flatten(1)
+    down_matrix, up = _kernel(pair.down.double()), pair.up.double().flatten(1)
     return torch.einsum("or,rihw->oihw", up, down_matrix).reshape(weight.shape)
 
 

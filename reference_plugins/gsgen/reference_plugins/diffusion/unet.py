@@ -49,7 +49,7 @@ class _ConditionalUNet(UNet2DConditionModel, nn.Module):  # type: ignore[misc]
         return network_output
 
     def get_aug_embed(
-        self, time_embedding: Tensor, encoder_hidden_states: Tensor, added_cond_kwargs: Any
+        self, emb: Tensor, encoder_hidden_states: Tensor, added_cond_kwargs: Any
     ) -> Any:
         """Embed the vector of prompt and image sizes, which is a constant of the model."""
         vector = added_cond_kwargs["vector"]

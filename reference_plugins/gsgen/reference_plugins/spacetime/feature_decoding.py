@@ -67,7 +67,7 @@ class FeaturePasses(MovingSplats):
         self.inputs = (time or inputs.time(), select_input)
         scale = FeatureScale.of(splats)
         self.register_buffer("low", scale.low.reshape(_FEATURE_GROUPS, 1, 3))
-        self.register_buffer("gain", (1 / scale.width).reshape(_FEATURE_GROUPS, 1, 3))
+        self.register_buffer("feature_gain", (1 / scale.width).reshape(_FEATURE_GROUPS, 1, 3))
 
     def forward(self, time: Float[Tensor, "1"], features: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians at a time, coloured by the three features that an input selects."""

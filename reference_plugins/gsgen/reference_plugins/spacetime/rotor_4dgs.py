@@ -140,7 +140,7 @@ class Rotor4DGS(GaussianGenerator):
             "covariance": slices.covariance,
             "opacity": torch.sigmoid(splats.logit_opacity),
             "centre": slices.centre,
-            "half_rate": (0.5 / variance).clamp(max=_MAX_RATE),
+            "half_angular_rate": (0.5 / variance).clamp(max=_MAX_RATE),
             "reach": torch.sqrt(-2 * math.log(_MIN_TIME_WEIGHT) * variance),
             "sh": splats.sh,
             "changing_sh": splats.changing_sh,

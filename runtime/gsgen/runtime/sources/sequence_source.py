@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.contract.spec.manifest import Input
+from gsgen.formats.codecs import codec_of_suffix
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.natural_order import natural_key
@@ -16,7 +17,6 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.source import Source, StillFrameSource, Values
 
 _FRAME_INPUT: Final = "frame"
-_SPLAT_SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".npz")
 _PRINTF_NUMBER_PATTERN: Final = re.compile(r"%(0?\d*)d")
 _TRAILING_NUMBER_PATTERN: Final = re.compile(r"\d+$")
 
@@ -46,7 +46,7 @@ def sequence_files(path: Path) -> list[Path]:
 
 
 def _is_frame(file: Path) -> bool:
-    is_splat_file = file.suffix.lower() in _SPLAT_SUFFIXES and not file.name.startswith(".")
+    is_splat_file = codec_of_suffix(file) is not None and not file.name.startswith(".")
     return is_splat_file and _TRAILING_NUMBER_PATTERN.search(file.stem) is not None
 
 

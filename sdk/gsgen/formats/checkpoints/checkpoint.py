@@ -126,7 +126,7 @@ def _unwrap_state_dict(content: Any) -> Any:
         if tensors:
             return {"pipeline": {f"_model.gauss_params.{k}": v for k, v in tensors.items()}}
     nested_states = [names.get(key) for key in ("state_dict", "model_state_dict", "model")]
-    states = [state for state in nested_states if isinstance(state, dict)]
+    states = [state for state in nested_states if isinstance(state, dict) and state]
     return _unwrap_state_dict(states[0]) if states else content
 
 

@@ -17,6 +17,7 @@ SAMPLED_ROWS: Final = 1 << 13
 """The rows that are looked at, evenly spread over the file."""
 
 _MIN_ROW_COUNT: Final = 16
+_MIN_OPACITY_SPREAD: Final = 0.5  # between the lowest and the highest
 _MAX_SIZE_IN_SPACINGS: Final = 3.0  # the usual size of splats, in distances between them
 
 
@@ -39,7 +40,8 @@ def suspicions(splats: Splats, count: int | None = None) -> list[str]:
             "than the distances between them, as if exp was applied twice.)"
         )
     opacity = sample.logit_opacity
-    if 0 <= opacity.min() < opacity.max() <= 1:  # equal ones may be meant
+    # Opacities of a trained scene are spread; nearly equal ones may be meant.
+    if 0 <= opacity.min() < opacity.max() - _MIN_OPACITY_SPREAD and opacity.max() <= 1:
         messages.append(
             "all opacities lie from 0 to 1: activated, not logits? (The picture is half "
             "transparent, as if the sigmoid was applied twice.)"

@@ -131,10 +131,10 @@ def write_float16(
             hint="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
             "`gsgen fix`.",
         )
+    model = load_model(source)
     probes = probes_of(subject, {})
     names = [tensor.name for tensor in subject.graph.outputs]
     _require_successful_run(source, names, probes, limits.for_model(subject.file.weight_bytes))
-    model = load_model(source)
     external_weights = has_external_weights(model)
     normalize_model(model)
     converted, result = to_float16(
