@@ -102,6 +102,7 @@ def simulate(
     is_model = predictor not in PREDICTORS_BY_NAME
     models = [Path(predictor)] if is_model else []
     confined = confined_models((), models, Limits(seconds=FRAME_SECONDS))
+    make_predictor = predictor_maker(predictor, confined)
     poses, trace = read_path(path), read_trace(network)
     store, index = open_store(tileset)
     with store:
@@ -112,7 +113,6 @@ def simulate(
         else (client.policy_named(policy),)
     )
     with confined or nullcontext():
-        make_predictor = predictor_maker(predictor, confined)
         simulations = [
             client.simulate(
                 tree,
