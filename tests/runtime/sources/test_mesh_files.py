@@ -116,6 +116,21 @@ def test_obj_material_files_are_read(tmp_path: Path) -> None:
     assert bare.shading == "headlight"
 
 
+def test_obj_of_two_materials_is_read_as_two_meshes(tmp_path: Path) -> None:
+    """Without texture coordinates, where trimesh computes with NaN and NumPy warns."""
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 0.8 0.1 0.1\nnewmtl blue\nKd 0.1 0.1 0.8\n")
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    lines = ["mtllib a.mtl", *(f"v {x} {y} {z}" for x, y, z in corners), "vn 0 1 0", "vn 1 0 0"]
+    lines += ["usemtl red", "f 3//1 7//1 8//1 4//1", "f 5//2 6//2 8//2 7//2"]
+    lines += ["usemtl blue", "f 1//1 2//1 6//1 5//1"]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    meshes = read_mesh(tmp_path / "a.obj")
+    counts_by_color = {
+        tuple(mesh.data.colors[0].round(1).astype(str)): len(mesh.data) for mesh in meshes
+    }
+    assert counts_by_color == {("0.8", "0.1", "0.1"): 4, ("0.1", "0.1", "0.8"): 2}
+
+
 def test_names_in_any_encoding_are_read(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_bytes(b"o caf\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
