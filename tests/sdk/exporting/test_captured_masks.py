@@ -108,7 +108,7 @@ def test_masked_model_is_captured_and_replayed_live(rewritten: RewriteResult, ha
     assert path is not None
     if half:
         result = write_float16(path, path.with_name("half.onnx"))
-        assert result.float16_result > len(result.retained)
+        assert result.converted_count > len(result.retained)
         assert result.path is not None
         path = result.path
     report = validate(path, Settings(level=Level.LIVE, target=WEBGPU))
