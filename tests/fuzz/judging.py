@@ -127,9 +127,10 @@ def _children(ended: list[int | None]) -> Iterator[None]:
     """Note how ONNX Runtime's processes end."""
     product = sandbox._run_child
 
-    def noted(folder: Path, seconds: float, module: str) -> int | None:
-        ended.append(product(folder, seconds, module))
-        return ended[-1]
+    def noted(folder: Path, seconds: float, module: str) -> "sandbox._ProcessEnd":
+        process_end = product(folder, seconds, module)
+        ended.append(process_end.status)
+        return process_end
 
     sandbox._run_child = noted
     try:

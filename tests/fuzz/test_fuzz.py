@@ -128,14 +128,19 @@ def test_an_error_that_escapes_is_seen(good, tmp_path, monkeypatch):
 
 
 def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
-    monkeypatch.setattr(judging.sandbox, "_run_child", lambda *_: -9)
+    product = judging.sandbox._run_child
+
+    def crashed(*words):
+        return product(*words)._replace(status=-11)  # as if it had read a wrong address
+
+    monkeypatch.setattr(judging.sandbox, "_run_child", crashed)
     path = write(good, tmp_path)
     message = judging.judge(good, path)
     assert (message.word, message.failures) == ("invalid", ())  # GV025 says so
     blind_registry = registry_with(made_up("GV025", over="execution"))
     verdict = judging.judge(good, path, blind_registry)
     assert any(
-        "ended with [-9], and the report does not" in failure for failure in verdict.failures
+        "ended with [-11], and the report does not" in failure for failure in verdict.failures
     )
 
 

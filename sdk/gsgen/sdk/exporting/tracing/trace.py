@@ -14,6 +14,7 @@ import numpy as np
 import onnx_ir as ir
 import torch
 from onnx import TensorProto
+from onnx_ir.passes.common import ShapeInferencePass
 from onnxscript import opset18
 from torch import nn
 
@@ -166,7 +167,10 @@ def _run_exporter(
 
 def _widen_indices(model: ir.Model) -> None:
     """Cast the int32 indices of GatherND and ScatterND to int64, which ONNX demands of both."""
-    for node in [n for n in model.graph.all_nodes() if n.op_type in ("GatherND", "ScatterND")]:
+    nodes = [n for n in model.graph.all_nodes() if n.op_type in ("GatherND", "ScatterND")]
+    if any(node.inputs[1] is not None and node.inputs[1].dtype is None for node in nodes):
+        ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
+    for node in nodes:
         indices = node.inputs[1]
         if indices is not None and indices.dtype == ir.DataType.INT32:
             write = InsertionPoint(node)
