@@ -56,14 +56,14 @@ def model_faults(folder: Path) -> Iterator[Fault]:
     refused = outcomes = 0
     for number, escape in enumerate(ESCAPES):
         for command in COMMANDS:
-            place = write_escape(folder / f"{number} {command.replace(' ', '')}", escape)
-            write_ply(place.inside / "scene.ply", garden(200))
-            (place.inside / "out").mkdir()
-            outcome = run_forked(gsgen_action(command_words(command)), place.inside)
+            case = write_escape(folder / f"{number} {command.replace(' ', '')}", escape)
+            write_ply(case.inside / "scene.ply", garden(200))
+            (case.inside / "out").mkdir()
+            outcome = run_forked(gsgen_action(command_words(command)), case.inside)
             faults = outcome.faults()
             if command in REPORTING:
                 faults = [fault for fault in faults if fault != "accepted" and "lines" not in fault]
-            if has_weights_of(place.inside / "out"):
+            if has_weights_of(case.inside / "out"):
                 faults.append("bytes from outside were copied")
             outcomes += 1
             refused += outcome.code != 0
@@ -87,13 +87,15 @@ def pickle_faults(folder: Path) -> Iterator[Fault]:
     """Yield the faults of reading hostile pickles of arrays."""
     read = 0
     for number, name in enumerate(PICKLES):
-        place = folder / str(number)
-        place.mkdir()
-        path = write_pickle(place, name)
-        outcome = run_forked(reading_action(lambda p=path: read_array_pickle(p, ["x"])), place)
+        case_folder = folder / str(number)
+        case_folder.mkdir()
+        path = write_pickle(case_folder, name)
+        outcome = run_forked(
+            reading_action(lambda p=path: read_array_pickle(p, ["x"])), case_folder
+        )
         read += outcome.code == 0
         faults = [fault for fault in outcome.faults() if fault != "accepted"]
-        if len(list(place.iterdir())) > 1:
+        if len(list(case_folder.iterdir())) > 1:
             faults.append("its code ran")
         yield from ((name, fault) for fault in faults)
     print_line(f"pickles: {len(PICKLES)} files, {read} of them harmless as data and read")

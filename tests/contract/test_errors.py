@@ -21,12 +21,12 @@ def _error_classes() -> list[type[GsgenError]]:
             if module.name.rpartition(".")[2] in ("errors", "_entry_points", "worker_pool"):
                 loaded: ModuleType = importlib.import_module(module.name)
                 assert loaded
-    found, pending = [], [GsgenError]
+    error_classes, pending = [], [GsgenError]
     while pending:
         error_class = pending.pop()
-        found.append(error_class)
+        error_classes.append(error_class)
         pending += error_class.__subclasses__()
-    return found
+    return error_classes
 
 
 @pytest.mark.parametrize("error_class", _error_classes(), ids=lambda value: value.__qualname__)

@@ -28,12 +28,14 @@ PIECES = st.one_of(
 TEXTS = st.lists(PIECES, max_size=12).map("".join)
 
 
-def controls(text: str, kept: str = "") -> list[str]:
+def controls(text: str, allowed_chars: str = "") -> list[str]:
     """Return the characters of a text that a terminal obeys or does not show."""
     hidden = ("Cc", "Cf", "Cs", "Zl", "Zp")
     invisible = "\u034f\u115f\u1160\u3164\uffa0\ufe0e\ufe0f\U000e0101"
     return [
-        c for c in text if (unicodedata.category(c) in hidden or c in invisible) and c not in kept
+        c
+        for c in text
+        if (unicodedata.category(c) in hidden or c in invisible) and c not in allowed_chars
     ]
 
 

@@ -62,5 +62,5 @@ def test_every_promise_has_a_proof() -> None:
 def test_a_proof_is_a_test_that_exists(name: str) -> None:
     path, _, function = name.partition("::")
     tree = ast.parse((ROOT / "tests" / path).read_text("utf-8"))
-    found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-    assert function in found
+    function_names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert function in function_names

@@ -282,10 +282,10 @@ def test_activated_values_are_noted_and_right_ones_are_not(count, extent, seed) 
     right = fields_of(splats, position, np.log(sizes), np.log(opacity / (1 - opacity)))
     assert suspicions(right) == []
     wrong = fields_of(splats, position, np.minimum(sizes, 0.3), opacity)
-    found = suspicions(wrong)
-    assert any(text.startswith("all opacities lie from 0 to 1") for text in found)
+    messages = suspicions(wrong)
+    assert any(text.startswith("all opacities lie from 0 to 1") for text in messages)
     if extent <= 1:
-        assert any(text.startswith("all scales are positive") for text in found)
+        assert any(text.startswith("all scales are positive") for text in messages)
 
 
 def fields_of(splats: Splats, position, log_scale, logit_opacity) -> Splats:

@@ -1,4 +1,6 @@
 import io
+import subprocess
+import sys
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -274,16 +276,25 @@ def test_a_header_of_any_claimed_length_takes_little_memory(tmp_path):
     assert peak < length / 8
 
 
-def test_too_little_memory_is_an_error(tmp_path, monkeypatch):
-    def exhausted(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    file = saved(tmp_path / "frame.npz", gaussians=GAUSSIANS, appearance=APPEARANCE)
-    monkeypatch.setattr(np.lib.format, "read_array", exhausted)
-    assert (
-        refusal(file, SizeExceeded)
-        == "array gaussians: reading takes more memory than is available"
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit this memory")
+def test_too_little_memory_is_an_error(tmp_path):
+    """In a process that may allocate 64 MB more, where the arrays take 400 MB."""
+    rows = np.zeros((10_000_000, 10), np.float32)
+    np.savez_compressed(tmp_path / "frame.npz", gaussians=rows, appearance=rows[:, :3])
+    code = (
+        "import resource, sys\n"
+        "from gsgen.formats.npz import read_npz\n"
+        "from gsgen.formats.shared.errors import SizeExceeded\n"
+        "data = int(open('/proc/self/statm').read().split()[5]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (data + (64 << 20),) * 2)\n"
+        "try: read_npz(sys.argv[1], max_bytes=1 << 40)\n"
+        "except SizeExceeded as error: print(error)\n"
     )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "frame.npz"], capture_output=True, text=True
+    )
+    file, message = tmp_path / "frame.npz", "reading takes more memory than is available"
+    assert done.stdout.strip() == f"{file}: array gaussians: {message}", done.stderr
 
 
 def test_damage_inside_an_array_is_noticed(tmp_path):

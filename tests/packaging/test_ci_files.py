@@ -365,11 +365,11 @@ def referring_files() -> list[Path]:
 
 def test_actions_are_named_by_commit() -> None:
     action = re.compile(r"uses: *([\w./-]+)@([\w.-]+)")
-    found = [
+    action_references = [
         match for path in referring_files() for match in action.findall(path.read_text("utf-8"))
     ]
-    assert len(found) > 10
-    for name, reference in found:
+    assert len(action_references) > 10
+    for name, reference in action_references:
         own = name == "OWNER/gsgen" and reference == "COMMIT"
         assert own or re.fullmatch("[0-9a-f]{40}", reference), f"{name}@{reference}"
 

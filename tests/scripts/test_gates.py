@@ -161,11 +161,11 @@ def test_the_page_on_security_names_gates_that_exist():
 
 
 def test_untrusted_bytes_are_read_by_the_gates_alone():
-    found = {
+    called_gates = {
         (path.relative_to(ROOT).as_posix(), name)
         for package in PACKAGES
         for path in (ROOT / package).rglob("*.py")
         if _WORDS.search(code := path.read_text("utf-8"))
         for name in raw_calls(code)
     }
-    assert found == set(GATES)
+    assert called_gates == set(GATES)

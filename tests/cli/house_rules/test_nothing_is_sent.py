@@ -71,13 +71,13 @@ def test_telemetry_that_the_user_switches_on_is_seen(folder: Path) -> None:
 def test_importing_any_package_sets_the_variable_unless_the_user_did(
     variable: str, package: str, user_value: str | None, expected: str
 ) -> None:
-    given = {} if user_value is None else {variable: user_value}
+    user_setting = {} if user_value is None else {variable: user_value}
     script = f"import {package}, os; print(os.environ[{variable!r}])"
     done = subprocess.run(
         [sys.executable, "-c", script],
         capture_output=True,
         text=True,
-        env=clean_environment() | given,
+        env=clean_environment() | user_setting,
         check=True,
     )
     assert done.stdout.strip() == expected

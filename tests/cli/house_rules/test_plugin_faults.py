@@ -136,13 +136,13 @@ def test_rule_without_a_fault_ends_with_0(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["SystemExit(0)", "os._exit", "GeneratorExit"])
-@pytest.mark.parametrize("place", ["module", "factory", "forward"])
+@pytest.mark.parametrize("raising_part", ["module", "factory", "forward"])
 def test_own_module_that_ends_the_process_ends_with_a_failure(
-    folder: Path, tmp_path: Path, fault: str, place: str
+    folder: Path, tmp_path: Path, fault: str, raising_part: str
 ) -> None:
     lines = [f"    {line}" for line in FAULTS[fault].split("\n")]
-    module = f"if {place == 'module'}:\n" + "\n".join(lines)
-    factory = f"    if {place == 'factory'}:\n" + "\n".join(f"    {line}" for line in lines)
+    module = f"if {raising_part == 'module'}:\n" + "\n".join(lines)
+    factory = f"    if {raising_part == 'factory'}:\n" + "\n".join(f"    {line}" for line in lines)
     forward = "\n".join(f"    {line}" for line in lines)
     code = f"""
 import torch

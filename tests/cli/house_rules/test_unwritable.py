@@ -126,7 +126,9 @@ def test_unwritable_output_is_one_line_with_exit_code_2(folder: Path, name: str)
     is_file = name in FILE_COMMANDS
     words = FILE_COMMANDS[name] if is_file else FOLDER_COMMANDS[name]
     _write_inputs(folder / "in", words)
-    commands = [[word.replace("OUT", place) for word in words] for place in FAULTS.values()]
+    commands = [
+        [word.replace("OUT", output_path) for word in words] for output_path in FAULTS.values()
+    ]
     _occupy(folder, next(word for word in words if "OUT" in word).replace("OUT", "taken"), is_file)
     before = _files(folder)
     runs = run_commands(folder, commands)

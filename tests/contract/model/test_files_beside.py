@@ -46,17 +46,17 @@ def drawn_rows(path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ESCAPES)
 def test_weights_that_escape_are_refused_before_any_is_read(tmp_path, name):
-    place = write_escape(tmp_path, name)
+    escape_case = write_escape(tmp_path, name)
     with pytest.raises(FileRefused) as refused:
-        require_loadable(place.model)
-    assert str(place.model) in str(refused.value)
-    assert "GS001" in {finding.rule for finding in validate(place.model, STATIC).findings}
+        require_loadable(escape_case.model)
+    assert str(escape_case.model) in str(refused.value)
+    assert "GS001" in {finding.rule for finding in validate(escape_case.model, STATIC).findings}
 
 
 @pytest.mark.parametrize("name", ["a path through the parent", "a pipe"])
 def test_no_child_is_started_for_weights_that_escape(tmp_path, name):
-    place = write_escape(tmp_path, name)
-    with execute(place.model, ["gaussians"], [], Limits()) as execution:
+    escape_case = write_escape(tmp_path, name)
+    with execute(escape_case.model, ["gaussians"], [], Limits()) as execution:
         assert execution.fault is not None
         assert execution.fault.stage == "load"
         assert FILE in execution.fault.message
