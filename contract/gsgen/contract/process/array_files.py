@@ -2,6 +2,7 @@
 
 __all__ = [
     "ARRAY_MAGIC",
+    "MAX_HEADER_LENGTH",
     "ArraysUnreadable",
     "array_limit",
     "first_line",
@@ -27,9 +28,11 @@ from gsgen.contract.errors import InputUnreadable
 ARRAY_MAGIC: Final = b"\x93NUMPY"
 """The first bytes of an .npy file."""
 
+MAX_HEADER_LENGTH: Final = 1 << 16
+"""The largest header of an array that is read, in bytes; plain arrays need 128."""
+
 _ZIP_MAGIC = b"PK"
 _ARRAY_FILE_SUFFIX = ".npy"
-_MAX_HEADER_LENGTH = 1 << 16  # bytes; plain arrays need 128
 _MIN_FREE_BYTES = 32 << 20
 _NUMBER_BYTES = 8  # readers convert to float64
 _KINDS = "biufcSU"  # numbers and texts
@@ -119,7 +122,7 @@ def read_array(stream: IO[bytes], size: int, limit: int | None = None) -> np.nda
     Raises:
         ValueError: The array is damaged or too large, or holds Python objects.
     """
-    start = BytesIO(stream.read(_MAX_HEADER_LENGTH))
+    start = BytesIO(stream.read(MAX_HEADER_LENGTH))
     shape, dtype = read_array_header(start)
     if dtype.kind not in _KINDS:
         raise ValueError(f"the array holds {dtype}, expected numbers")

@@ -11,14 +11,16 @@ from typing import Final
 import numpy as np
 from jaxtyping import Shaped
 
-from gsgen.contract.process.array_files import first_line, read_array, read_array_header
+from gsgen.contract.process.array_files import (
+    MAX_HEADER_LENGTH,
+    first_line,
+    read_array,
+    read_array_header,
+)
 from gsgen.formats.shared.errors import ArchiveDamaged, FormatError, NotSupported, SizeExceeded
 
 ZIP_MAGIC: Final = b"PK\x03\x04"
 """The first bytes of a zip archive."""
-
-MAX_HEADER = 1 << 16
-"""The largest header of an array that is read, in bytes; plain arrays need 128."""
 
 
 @contextmanager
@@ -74,7 +76,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
     entry = archive.getinfo(f"{key}.npy")
     with unpacking(f"array {key}"), archive.open(entry) as stream:
         # This limit holds for any length that the header declares.
-        header_bytes = BytesIO(stream.read(MAX_HEADER))
+        header_bytes = BytesIO(stream.read(MAX_HEADER_LENGTH))
         shape, dtype = read_array_header(header_bytes)
     if dtype.hasobject:
         raise NotSupported(
