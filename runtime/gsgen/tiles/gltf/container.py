@@ -37,8 +37,8 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
             return parse(data)
     document = parse_object(data, f"{location}, ", fault=Fault.CONTENT)
     version = document.child("asset").text("version")
-    if version != "2.0":
-        document.child("asset").refuse("version", "2.0")
+    if not version.startswith("2."):
+        document.child("asset").refuse("version", "2.0, or a later 2")
     with raise_as_fault(location, Fault.CONTENT):
         require_known_extensions(document.values, READABLE_EXTENSIONS)
     return _join_buffers(document, fetch)

@@ -107,6 +107,7 @@ class DocumentReader:
             data = self._store.read(uri, limit=MAX_JSON)
             self.add_bytes(len(data), uri)
             schema = parse_object(data, f"{uri}, ")
+        self._report.inspect(document, schema)
         return Document(path, read_classes(schema), (*parent_paths, path))
 
 

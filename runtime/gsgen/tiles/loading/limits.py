@@ -7,6 +7,7 @@ from typing import Final, Protocol, final
 
 from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.format.json_values import JsonObject
 
 _FILE_TIMEOUT_SECONDS: Final = 60.0
 _LOADING_FILES: Final = 5  # a tree of many files may take as long as so many slow ones
@@ -75,6 +76,14 @@ class LoadReport(Protocol):
         """Handle a fault by which a part of the tileset is left out; may raise the fault."""
         ...
 
+    def inspect(self, document: JsonObject, schema: JsonObject | None) -> None:
+        """Look at a ``tileset.json`` and its metadata schema, before its tiles are read."""
+        ...
+
+    def inspect_subtree(self, document: JsonObject) -> None:
+        """Look at the JSON of a subtree, before its bits are read."""
+        ...
+
 
 @final
 class StrictReport:
@@ -86,3 +95,9 @@ class StrictReport:
     def drop(self, error: TilesetInvalid) -> None:
         """Raise a fault by which a part of the tileset would be left out."""
         raise error
+
+    def inspect(self, document: JsonObject, schema: JsonObject | None) -> None:
+        """Look at nothing: a reader takes the members that it needs."""
+
+    def inspect_subtree(self, document: JsonObject) -> None:
+        """Look at nothing, likewise."""

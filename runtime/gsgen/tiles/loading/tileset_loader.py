@@ -34,7 +34,6 @@ from gsgen.tiles.stores.store import Store
 Matrix = Float64[np.ndarray, "4 4"]
 
 _MAX_SUBTREE: Final = 64 << 20
-_SCALE_TOLERANCE: Final = 1e-4
 
 
 def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset:
@@ -101,7 +100,7 @@ class _Loader:
         source = self._documents.describe(index, document, ())
         root = document.child("root")
         transform = self._read_transform(root)
-        parent = _Parent(np.eye(4), self._root_refine(root), 0)
+        parent = _Parent(np.eye(4), "REPLACE", 0)
         tree = self._tile(root, source, parent, own_transform=np.eye(4))
         extensions = document.optional("extensions")
         gltf = extensions.optional(CONTENT_EXTENSION) if extensions else None
@@ -119,17 +118,6 @@ class _Loader:
             metadata=_metadata_properties(metadata),
             y_up=asset.values.get("gltfUpAxis", "Y") != "Z",
         )
-
-    def _root_refine(self, root: JsonObject) -> RefineMode:
-        if "refine" not in root:
-            self._report.note(
-                TilesetInvalid(
-                    "the member is missing",
-                    location=root.at("refine"),
-                    expected="ADD or REPLACE, which the root has to say",
-                )
-            )
-        return "REPLACE"
 
     def _tile(
         self,
@@ -215,7 +203,7 @@ class _Loader:
         return children
 
     def _read_transform(self, entry: JsonObject) -> Matrix:
-        """Return the transform of a tile; report a transform that is not a similarity."""
+        """Return the transform of a tile; raise for one that mirrors or flattens."""
         if "transform" not in entry:
             return np.eye(4)
         matrix = entry.numbers("transform", 16).reshape(4, 4).T
@@ -233,15 +221,6 @@ class _Loader:
                 location=entry.at("transform"),
                 expected="a rotation, a positive scale and a translation",
                 fault=Fault.TRANSFORM,
-            )
-        if sizes[0] > sizes[2] * (1 + _SCALE_TOLERANCE):
-            self._report.note(
-                TilesetInvalid(
-                    f"scales from {sizes[2]:g} to {sizes[0]:g}",
-                    location=entry.at("transform"),
-                    expected="the same scale along every axis",
-                    fault=Fault.TRANSFORM,
-                )
             )
         return matrix
 
@@ -344,6 +323,7 @@ class _Loader:
             levels=tree.subtree_levels,
             classes=tree.classes,
             read_buffer=read_buffer,
+            inspect=self._report.inspect_subtree,
         )
 
 

@@ -61,6 +61,8 @@ def inspect_tileset(
             raise
         inspected.note(error)
         return inspected
+    finally:
+        inspected.note_document_faults()
     try:
         inspected.record = read_build_record(store, index)
     except TilesetInvalid as error:
@@ -192,6 +194,13 @@ class _ContentReader:
                 result.sha256 = hashlib.sha256(data).hexdigest()
             container = open_content(data, content.uri, self._resource_fetcher(store, content.uri))
             result.header = read_header(container, content.uri, len(data))
+            if container.length not in (0, len(data)):
+                raise TilesetInvalid(
+                    f"the file has {len(data)} bytes",
+                    location=f"{content.uri}, byte 8",
+                    expected=f"{container.length}, as the header of the GLB says",
+                    fault=Fault.CONTENT,
+                )
             if self._decode_content and not result.is_late:
                 result.values = self._values(tile, content, container)
         except TilesetInvalid as error:

@@ -14,6 +14,7 @@ import numpy as np
 
 from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
 from gsgen.contract.spec.severity import Level
+from gsgen.formats.glb.container import build
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container, streams
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
@@ -90,6 +91,14 @@ def tiles_without_error() -> TilesetSketch:
     """Fixture: a tileset with a leaf that has no geometric error."""
     sketch = explicit_sketch()
     del sketch.document["root"]["children"][0]["geometricError"]
+    return sketch
+
+
+@_register_example("GT001")
+def tiles_group_without_class() -> TilesetSketch:
+    """Fixture: a tileset with a group whose class the metadata schema does not have."""
+    sketch = explicit_sketch()
+    sketch.document["groups"] = [{"class": "houses"}]
     return sketch
 
 
@@ -313,6 +322,28 @@ def tiles_unlike_root() -> TilesetSketch:
         return replace(splats, log_scale=np.zeros_like(splats.log_scale))
 
     return explicit_sketch(edit_root=inflate_scales)
+
+
+@_register_example("GT023")
+def tiles_with_mesh() -> TilesetSketch:
+    """Fixture: a tileset with a leaf that has a triangle beside its splats."""
+    sketch = explicit_sketch(record=False)
+    leaf = sketch.document["root"]["children"][0]
+    leaf["contents"] = [leaf.pop("content"), {"uri": "triangle.glb"}]
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    document = {
+        "asset": {"version": "2.0"},
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(corners)}],
+        "buffers": [{"byteLength": len(corners)}],
+        "meshes": [mesh],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    sketch.files["triangle.glb"] = build(document, len(corners)) + corners
+    return sketch
 
 
 def _neural_sketch() -> TilesetSketch:

@@ -4,13 +4,16 @@ __all__ = ["InspectedContent", "InspectedTileset"]
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING, Final, final
 
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.format.json_values import JsonObject
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.decoding import ContentHeader
 from gsgen.tiles.loading.build_record import BuildRecord
 from gsgen.tiles.stores.store import Store
+from gsgen.tiles.validation.documents import check_document, check_subtree
 from gsgen.tiles.validation.values import ContentValues
 
 if TYPE_CHECKING:
@@ -63,6 +66,7 @@ class InspectedTileset:
     undecoded_reason: str = ""
     drawn: "DrawnTileset | None" = None
     undrawn_reason: str = ""
+    _document_faults: list[TilesetInvalid] = field(default_factory=list)
 
     @property
     def is_built_by_gsgen(self) -> bool:
@@ -75,3 +79,18 @@ class InspectedTileset:
             self.faults[error.fault].append(error)
 
     drop = note
+
+    def inspect(self, document: JsonObject, schema: JsonObject | None) -> None:
+        """Check a ``tileset.json`` that is being read; `note_document_faults` adds the faults."""
+        self._document_faults += islice(check_document(document, schema), _MAX_FAULTS)
+
+    def inspect_subtree(self, document: JsonObject) -> None:
+        """Check the JSON of a subtree likewise."""
+        self._document_faults += islice(check_subtree(document), _MAX_FAULTS)
+
+    def note_document_faults(self) -> None:
+        """Record the faults of JSON documents at locations where reading met no fault itself."""
+        known = {error.location for errors in self.faults.values() for error in errors}
+        for error in self._document_faults:
+            if error.location not in known:
+                self.note(error)

@@ -4,7 +4,7 @@
 varies from row to row, are passed over: nothing here asks for them.
 """
 
-__all__ = ["PropertyClass", "read_classes", "read_property_table"]
+__all__ = ["NUMBER_COUNT_BY_TYPE", "PropertyClass", "read_classes", "read_property_table"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ import numpy as np
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import JsonObject
 
-_NUMBER_COUNT_BY_TYPE: Final = {
+NUMBER_COUNT_BY_TYPE: Final = {
     "SCALAR": 1,
     "VEC2": 2,
     "VEC3": 3,
@@ -24,6 +24,7 @@ _NUMBER_COUNT_BY_TYPE: Final = {
     "MAT3": 9,
     "MAT4": 16,
 }
+"""Type of a metadata property → how many numbers a value has."""
 _DTYPE_BY_COMPONENT: Final = {
     "INT8": "i1", "UINT8": "u1", "INT16": "<i2", "UINT16": "<u2", "INT32": "<i4",
     "UINT32": "<u4", "INT64": "<i8", "UINT64": "<u8", "FLOAT32": "<f4", "FLOAT64": "<f8",
@@ -58,7 +59,7 @@ def _read_class(entry: JsonObject) -> PropertyClass:
     for name in properties.values if properties else ():
         assert properties is not None
         column = properties.child(name)
-        width = _NUMBER_COUNT_BY_TYPE.get(str(column.values.get("type")))
+        width = NUMBER_COUNT_BY_TYPE.get(str(column.values.get("type")))
         dtype = _DTYPE_BY_COMPONENT.get(str(column.values.get("componentType")))
         count = 1
         if column.values.get("array"):

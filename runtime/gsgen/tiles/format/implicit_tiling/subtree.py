@@ -64,6 +64,7 @@ def read_subtree(
     levels: int,
     classes: dict[str, PropertyClass],
     read_buffer: ReadBuffer,
+    inspect: Callable[[JsonObject], None],
 ) -> Subtree:
     """Read a subtree of an implicit tileset, binary or JSON.
 
@@ -74,8 +75,10 @@ def read_subtree(
         levels: Of a subtree, as the tileset says.
         classes: The metadata classes of the tileset.
         read_buffer: Reads a buffer that lies in a file of its own.
+        inspect: Called with the subtree's JSON before it is read.
     """
     document, binary = _split_chunks(data, location)
+    inspect(document)
     reader = _Reader(document, binary, read_buffer)
     count = tile_count(branching, levels)
     tiles = reader.availability(document.child("tileAvailability"), count)

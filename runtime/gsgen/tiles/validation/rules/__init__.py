@@ -8,6 +8,7 @@ from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.rule import Registry
 from gsgen.tiles.validation.rules.contents import (
     content_whole,
+    contents_hold_splats,
     counts_agree,
     extensions_required,
     spz_version,
@@ -55,6 +56,7 @@ TILESET_RULES = (
     neural_content,
     tile_visible,
     levels_agree,
+    contents_hold_splats,
 )
 """All rules, in order of their ids; the entry point names this."""
 

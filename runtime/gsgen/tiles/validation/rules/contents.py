@@ -19,7 +19,7 @@ _TARGET_KINDS: Final = (TILESET, TILE_CONTENT)
 
 @tileset_rule("GT005", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
 def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every file that the tileset names exists, is complete, and is glTF 2.0 with splats.
+    """Every file that the tileset names exists, and is complete glTF 2.0.
 
     Why:
         A tile that cannot be loaded leaves a hole, or keeps its coarse parent for ever.
@@ -29,7 +29,7 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     """
     yield from faults_of(inspected, Fault.CONTENT)
     for content, header in headers(inspected):
-        if not header.primitives:
+        if not header.primitives and content.tile is None:
             yield Violation.at(
                 f"content {content.content.uri}",
                 "no splats in the scene",
@@ -38,6 +38,25 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     for primitive in primitives(inspected):
         for text in primitive.conforms:
             yield Violation.at(f"content {primitive.location}", text, f"as {EXTENSION_NAME} says")
+
+
+@tileset_rule("GT023", Severity.WARNING, needs=(SCHEMA_RULE,))
+def contents_hold_splats(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every content holds splats; what others hold is not looked at.
+
+    Why:
+        The rules are about splats. A viewer of splats draws nothing for other contents.
+
+    Hint:
+        Judge the contents that are named with the validator of glTF (Khronos).
+    """
+    for content, header in headers(inspected):
+        if content.tile is not None and not header.primitives:
+            yield Violation.at(
+                f"content {content.content.uri}",
+                "no splats in the scene: not looked at",
+                f"a mesh of points with {EXTENSION_NAME}",
+            )
 
 
 @tileset_rule("GT006", Severity.ERROR, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)

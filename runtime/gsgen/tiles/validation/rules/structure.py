@@ -8,11 +8,13 @@ import numpy as np
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.tiles.errors import Fault
+from gsgen.tiles.format.tileset import Tile
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of, tileset_rule
 
 _SIZE_TOLERANCE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 points
 _ABSOLUTE_TOLERANCE: Final = 1e-6
+_SCALE_TOLERANCE: Final = 1e-4
 
 
 @tileset_rule("GT001", Severity.ERROR)
@@ -32,7 +34,7 @@ def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
 
 @tileset_rule("GT002", Severity.ERROR, needs=(SCHEMA_RULE,))
 def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The bounding volume of every tile lies within that of its parent.
+    """The bounding volume of every tile and content lies within that of the tile above it.
 
     Why:
         Viewers skip a tile and all below it when its volume is out of sight. What sticks out
@@ -44,16 +46,26 @@ def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
     tileset = inspected.tileset
     if tileset is None:
         return
-    for parent, child in tileset.pairs():
-        parent_volume = parent.volume.transformed(tileset.transform @ parent.transform)
-        child_volume = child.volume.transformed(tileset.transform @ child.transform)
-        overshoot = float(parent_volume.outside(child_volume.samples()).max())
-        if not overshoot <= _SIZE_TOLERANCE * parent_volume.size + _ABSOLUTE_TOLERANCE:
-            yield Violation.at(
-                f"tile {child.location}",
-                f"its volume reaches {overshoot:.4g} out of its parent's",
-                f"a volume within that of {parent.location}",
-            )
+    for tile in tileset.tiles():
+        to_world = tileset.transform @ tile.transform
+        volume = tile.volume.transformed(to_world)
+        inner = [
+            (f"tile {child.location}", child.volume, tileset.transform @ child.transform)
+            for child in tile.children
+        ]
+        inner += [
+            (f"content {content.location}", content.volume, to_world)
+            for content in tile.contents
+            if content.volume is not None
+        ]
+        for subject, inner_volume, transform in inner:
+            overshoot = float(volume.outside(inner_volume.transformed(transform).samples()).max())
+            if not overshoot <= _SIZE_TOLERANCE * volume.size + _ABSOLUTE_TOLERANCE:
+                yield Violation.at(
+                    subject,
+                    f"its volume reaches {overshoot:.4g} out of its tile's",
+                    f"a volume within that of {tile.location}",
+                )
 
 
 @tileset_rule("GT004", Severity.ERROR, needs=(SCHEMA_RULE,))
@@ -67,13 +79,25 @@ def geometric_error_falls(inspected: InspectedTileset) -> Iterator[Violation]:
     Hint:
         Let errors fall from level to level, to 0 for the leaves.
     """
-    for parent, child in inspected.tileset.pairs() if inspected.tileset else ():
-        if child.geometric_error > parent.geometric_error * (1 + _ABSOLUTE_TOLERANCE):
+    pending = [(inspected.tileset.root, inspected.tileset.root)] if inspected.tileset else []
+    while pending:
+        tile, bound = pending.pop()
+        if tile.geometric_error > bound.geometric_error * (1 + _ABSOLUTE_TOLERANCE):
             yield Violation.at(
-                f"tile {child.location}",
-                f"geometric error {child.geometric_error:g}",
-                f"{parent.geometric_error:g} or less, as {parent.location} has",
+                f"tile {tile.location}",
+                f"geometric error {tile.geometric_error:g}",
+                f"{bound.geometric_error:g} or less, as {bound.location} has",
             )
+        # A tile that only names an external tileset draws nothing: its error stands for no picture.
+        above = bound if _names_external_only(tile) else tile
+        pending += [(child, above) for child in reversed(tile.children)]
+
+
+def _names_external_only(tile: Tile) -> bool:
+    file = tile.location.split(", ")[0]
+    return not tile.contents and any(
+        child.location.split(", ")[0] != file for child in tile.children
+    )
 
 
 @tileset_rule("GT010", Severity.ERROR, needs=(SCHEMA_RULE,))
@@ -91,7 +115,7 @@ def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
 
 @tileset_rule("GT011", Severity.ERROR, needs=(SCHEMA_RULE,))
 def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every tile transform is a rotation, one positive scale and a translation.
+    """Splats are placed by rotations, positive scales equal along every axis, and translations.
 
     Why:
         Splats are ellipsoids with colours by direction: a mirrored or sheared frame changes
@@ -101,6 +125,19 @@ def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
         Move shear and mirroring into the splats, and keep a similarity for the tile.
     """
     yield from faults_of(inspected, Fault.TRANSFORM)
+    tileset = inspected.tileset
+    for content in inspected.contents if tileset else ():
+        if content.tile is None or content.header is None or not content.header.splats:
+            continue
+        assert tileset is not None
+        linear = (tileset.transform @ content.tile.transform)[:3, :3]
+        sizes = np.linalg.svd(linear, compute_uv=False)
+        if sizes[0] > sizes[2] * (1 + _SCALE_TOLERANCE):
+            yield Violation.at(
+                f"tile {content.tile.location}",
+                f"its transforms scale splats from {sizes[2]:g} to {sizes[0]:g}",
+                "the same scale along every axis",
+            )
 
 
 @tileset_rule("GT013", Severity.ERROR, needs=(SCHEMA_RULE,))
