@@ -2,7 +2,7 @@
 
 OGC 22-025r4, "Property reference" of 3D Tiles and of the 3D Metadata Specification. Names of drafts
 and of version 1.0 that are still read (``url``, ``maximumLevel``) are accepted as well. The
-description of a schema says in words what is expected.
+description of a schema names the expected value.
 """
 
 __all__ = [

@@ -97,7 +97,7 @@ def _validator(schema_id: int) -> "Draft202012Validator":
 
 
 def _from_schema_error(entry: JsonObject, error: "ValidationError") -> TilesetInvalid:
-    """Say an error of jsonschema with the location, the value, and what is expected."""
+    """Convert an error of jsonschema to a fault with location, actual and expected value."""
     keyword, bound = str(error.validator), error.validator_value
     path = list(error.absolute_path)
     actual, expected = shorten(error.instance), str(error.schema.get("description", ""))

@@ -112,7 +112,7 @@ def _property_faults(column: JsonObject, enums: JsonDict) -> Iterator[TilesetInv
     is_numeric, is_array = kind in NUMBER_COUNT_BY_TYPE, values.get("array", False)
     is_normalized = values.get("normalized", False)
     is_whole_component = component in COMPONENT_RANGES
-    # Which members a type requires or excludes: member → what is wrong, for those present.
+    # Which members a type requires or excludes: member → (excluded, expected).
     if is_numeric and component is None:
         yield _fault(column, "componentType", f"a component type, which {kind} requires")
     if kind == "ENUM" and values.get("enumType") not in enums:

@@ -48,7 +48,7 @@ def contents_hold_splats(inspected: InspectedTileset) -> Iterator[Violation]:
         The rules are about splats. A viewer of splats draws nothing for other contents.
 
     Hint:
-        Judge the contents that are named with the validator of glTF (Khronos).
+        Check the named contents with the glTF validator of Khronos.
     """
     for content, header in headers(inspected):
         if content.tile is not None and not header.primitives:
