@@ -17,7 +17,7 @@ FRAMES = 200
 
 def bench_the_first_picture_and_200_frames(tmp_path: Path) -> None:
     texts = {name: client_file(name) for name in client_names()}
-    written = ("contract_rules.js", "element_markup.js")
+    written = ("contract_rules.js",)
     scripts = b"".join(
         text for name, text in texts.items() if name.endswith(".js") and name not in written
     )

@@ -90,7 +90,7 @@ def test_the_person_stands_upright_and_walks(article: Any, tmp_path: Path) -> No
         article.evaluate(f"{_ELEMENT}.currentTime = {number} * {_ELEMENT}.duration / 3")
         settled(article)
         article.screenshot(path=tmp_path / f"walk-{number}.png")
-        numbers = float32_result(article, f'() => {_ELEMENT}._renderer.readImage("color")')
+        numbers = float32_result(article, f'() => {_ELEMENT}._shown.renderer.readImage("color")')
         height, width = article.evaluate(f"[{_ELEMENT}.camera.height, {_ELEMENT}.camera.width]")
         pictures.append(numbers.reshape(height, width, 4))
     view = np.array(article.evaluate(f"{_ELEMENT}.camera.view")).reshape(4, 4)
@@ -123,13 +123,17 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
         touch_session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
         settled(article)
 
-    before = article.evaluate(f"[...{_ELEMENT}._orbit.turn, {_ELEMENT}._orbit.distance]")
+    before = article.evaluate(
+        f"[...{_ELEMENT}._shown.orbit.turn, {_ELEMENT}._shown.orbit.distance]"
+    )
     drag(((0, 0),), ((20, 0),), ((60, 0),))
-    turned = article.evaluate(f"[...{_ELEMENT}._orbit.turn, {_ELEMENT}._orbit.distance]")
+    turned = article.evaluate(
+        f"[...{_ELEMENT}._shown.orbit.turn, {_ELEMENT}._shown.orbit.distance]"
+    )
     assert np.abs(np.subtract(turned, before))[:9].max() > 0.1
     assert turned[9] == before[9]
     drag(((-20, 0), (20, 0)), ((-30, 0), (30, 0)), ((-60, 0), (60, 0)))
-    assert article.evaluate(f"{_ELEMENT}._orbit.distance") < 0.6 * turned[9]
+    assert article.evaluate(f"{_ELEMENT}._shown.orbit.distance") < 0.6 * turned[9]
 
 
 @pytest.mark.slow

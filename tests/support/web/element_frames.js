@@ -5,13 +5,13 @@ async ([name, frames]) => {
   const pause = () => new Promise((resolve) => setTimeout(resolve, 50));
   while (!element.report) await pause();
   // The element's own frames would run the model for another camera between these.
-  element.requestFrame = () => {};
+  element._requestFrame = () => {};
   cancelAnimationFrame(element._frameRequest);
   while (element._isDrawing) await pause();
   const { errors } = element.report;
   if (errors.length) return { error: JSON.stringify(errors), errors };
   const { readBuffer } = await import("gsgen/gpu_buffers.js");
-  const { _model: model, _renderer: renderer } = element;
+  const { model, renderer } = element._shown;
   const uncaptured = [];
   renderer.device.onuncapturederror = ({ error }) => uncaptured.push(error.message);
   const text = async (numbers) => {

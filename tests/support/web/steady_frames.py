@@ -5,20 +5,20 @@ from typing import Any
 
 _SCRIPT = """async ([count, isExecuted]) => {
   const model = document.querySelector("gsgen-model");
-  const device = model._renderer.device;
+  const device = model._shown.renderer.device;
   const made = {};
   for (const name of Object.getOwnPropertyNames(GPUDevice.prototype)) {
     if (!name.startsWith("create") || name === "createCommandEncoder") continue;
     const own = device[name].bind(device);
     device[name] = (...rest) => { made[name] = (made[name] ?? 0) + 1; return own(...rest); };
   }
-  const { _playback: playback } = model;
+  const { playback } = model._shown;
   if (!isExecuted) device.queue.submit = () => {};
   let [finished, most] = [0, 0];
   for (let frame = 1; frame <= count; frame++) {
-    model._orbit.orbit(0.01, 0);
+    model._shown.orbit.orbit(0.01, 0);
     if (playback) playback.currentTime = (playback.duration * (frame % 24)) / 24;
-    model._isStale = true;
+    model._shown.isStale = true;
     await model._draw(performance.now());
     most = Math.max(most, frame - finished);
     const done = device.queue.onSubmittedWorkDone().then(() => finished++);

@@ -47,7 +47,8 @@ PRESENT_UNIFORM: Final = np.dtype(
         ("far", np.float32),
         ("is_linear", np.uint32),
         ("first", np.uint32),
-        ("filling", np.uint32, 2),
+        ("background_alpha", np.float32),
+        ("filling", np.uint32),
     ]
 )
 """The bytes of ``struct Showing`` in present.wgsl."""
@@ -196,6 +197,7 @@ def _uniforms(view: View, band: DrawnImage, surface: tuple[int, int]) -> np.ndar
     uniforms["mode"] = _NUMBER_BY_MODE[view.mode]
     uniforms["near"], uniforms["far"] = view.depths
     uniforms["is_linear"] = view.color_space == "linear"
+    uniforms["background_alpha"] = 1.0
     return uniforms
 
 

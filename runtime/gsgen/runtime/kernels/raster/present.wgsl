@@ -18,6 +18,7 @@ struct Showing {
     far: f32,       // the depth shown nearly black
     is_linear: u32,
     first: u32,     // first row of the image that its buffer holds
+    background_alpha: f32,
 }
 
 @group(0) @binding(0) var<uniform> showing: Showing;
@@ -64,8 +65,11 @@ fn pixel_color(column_row: vec2f) -> vec4f {
             return vec4f(pixel.www, 1.0);
         }
         default: {
+            // Colours are multiplied by alpha, and so are those of the surface.
             let color = clamp(pixel.rgb, vec3f(0.0), vec3f(1.0));
-            return vec4f(select(color, srgb_of_linear(color), showing.is_linear == 1u), 1.0);
+            let alpha = clamp(mix(pixel.w, 1.0, showing.background_alpha), 0.0, 1.0);
+            let straight = clamp(color / max(alpha, 1e-6), vec3f(0.0), vec3f(1.0));
+            return vec4f(select(color, srgb_of_linear(straight) * alpha, showing.is_linear == 1u), alpha);
         }
     }
 }

@@ -10,7 +10,20 @@ const WANTED_LIMITS = [
 ];
 const WANTED_FEATURES = /** @type {GPUFeatureName[]} */ (["shader-f16"]); // for generators; no kernel of the renderer needs it
 
+// Milliseconds between attempts: a browser takes seconds to start its graphics process again.
+const PAUSES = [0, 250, 500, 1000, 2000, 4000];
+
 let hasWorked = false; // a device of this page
+
+async function requestAdapter() {
+  for (const pause of hasWorked ? PAUSES : [0]) {
+    if (pause) await new Promise((resolve) => setTimeout(resolve, pause));
+    const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
+    if (adapter) return adapter;
+  }
+  return null;
+}
+
 /** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {
   if (!navigator.gpu) {
@@ -18,7 +31,7 @@ export async function openDevice() {
       hint: "Use a current Chrome, Edge, Safari or Firefox, over https or on localhost.",
     });
   }
-  const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
+  const adapter = await requestAdapter();
   if (!adapter) {
     throw new GsgenError(hasWorked ? "the graphics device was lost" : "the browser found no graphics adapter", {
       hint: "Switch hardware acceleration on, or update the graphics driver.",

@@ -8,7 +8,14 @@ import { failing } from "./errors.js";
  * @returns {Promise<ArrayBuffer>}
  */
 export async function download(source, onProgress = () => {}, signal) {
-  if (source.startsWith("#")) return inlined(source);
+  return source.startsWith("#") ? inlined(source) : (await downloadBlob(source, onProgress, signal)).arrayBuffer();
+}
+
+/**
+ * @param {(loaded: number, total: number) => void} onProgress
+ * @param {AbortSignal} [signal]
+ */
+export async function downloadBlob(source, onProgress, signal) {
   const fail = failing(source, "Is the address right, and may this page read it (CORS)?");
   let response;
   try {
@@ -18,16 +25,18 @@ export async function download(source, onProgress = () => {}, signal) {
     fail(`cannot be loaded: ${error.message}`);
   }
   if (!response.ok) fail(`cannot be loaded: ${response.status} ${response.statusText}`);
-  const total = Number(response.headers.get("Content-Length") ?? 0);
+  // The length is that of the packed bytes, which is unlike that of those which arrive.
+  const isPacked = response.headers.has("Content-Encoding");
+  const total = isPacked ? 0 : Number(response.headers.get("Content-Length") ?? 0);
   const parts = [];
   let loaded = 0;
   const reader = response.body.getReader();
   for (let { done, value } = await reader.read(); !done; { done, value } = await reader.read()) {
     parts.push(value);
     loaded += value.length;
-    onProgress(loaded, total);
+    onProgress(loaded, loaded <= total ? total : 0);
   }
-  return new Blob(parts).arrayBuffer();
+  return new Blob(parts);
 }
 
 /** Return the value of bytes that are a JSON object; null of other bytes. */

@@ -1,50 +1,73 @@
 /** The element `<gsgen-model>`: shows a splat file or a generator in a page. */
 
-import { unproject } from "./camera.js";
-import { ControlListener, OrbitCamera } from "./controls.js";
-import { download } from "./download.js";
+import { Annotations } from "./annotations.js";
+import { AttributedElement } from "./attributed_element.js";
+import { computedColor } from "./attributes.js";
+import { ControlListener } from "./controls.js";
 import { ElementView } from "./element_view.js";
 import { GsgenError } from "./errors.js";
 import { openModel } from "./model.js";
-import { Playback } from "./playback.js";
-import { Presenter } from "./present.js";
-import { Renderer } from "./renderer.js";
+import { OrbitCamera, orbitProblem } from "./orbit_camera.js";
 import { sharedKernels } from "./shared.js";
+import { ShownModel } from "./shown_model.js";
+import { candidatesOf, canShow, sourceFile } from "./source_files.js";
+import { nearestWord } from "./words.js";
+
+/** @typedef {"empty" | "loading" | "ready" | "failed"} State */
 
 const MOST_PIXELS_PER_CSS = 2;
-const MOST_LOSSES = 3; // of the device, after which the element gives up
+const MINUTE = 60_000; // milliseconds
+const MOST_LOSSES = 6; // of the device within a minute, after which the element gives up
+const LOSS_DELAY = 100; // milliseconds from an error of a lost device to the news of its loss
+const MOST_FAILED_FRAMES = 3; // one after the other, of a time that plays
+const REST = 3000; // milliseconds from a visitor's turn until the camera turns by itself again
+const NEW_HOME = ["camera-orbit", "camera-target", "up"];
+const NEW_LENS = ["min-camera-orbit", "max-camera-orbit", "field-of-view"];
 
-/** @param {string} text Such as `#102030` or `0.1 0.2 0.3`. */
-function colorOf(text) {
-  const hex = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text.trim());
-  const numbers = hex
-    ? hex.slice(1).map((part) => parseInt(part, 16) / 255)
-    : text.trim().split(/[\s,]+/).map(Number);
-  return numbers.length === 3 && numbers.every(Number.isFinite) ? numbers : [0, 0, 0];
-}
+const pause = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
+const wantsRest = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-/** Return the value of a model's time input; frame numbers are whole. */
-function timeValue({ time }, playback) {
-  return time.isWhole ? Math.min(Math.floor(playback.value), time.high) : playback.value;
-}
-
-export class GsgenModel extends HTMLElement {
-  static observedAttributes = [
-    "src", "alt", "poster", "camera-controls", "camera-orbit", "field-of-view", "up", "background",
-    "mode", "time", "loop",
-  ];
+export class GsgenModel extends AttributedElement {
+  /** Return whether a `<source>` of a MIME type is tried. @param {string} type */
+  static canShow(type) {
+    return canShow(type);
+  }
 
   constructor() {
     super();
     this._view = new ElementView(this.attachShadow({ mode: "open" }));
-    /** Values of the model's inputs, by name; set it, or change it and call `requestFrame()`. */
-    this._inputs = {};
-    /** What was found out about the model: its errors, or its manifest. */
+    this._internals = this.attachInternals();
+    /** @type {State} */
+    this._state = "empty";
+    /** What was found out about the model: its errors, or its manifest. @type {any} */
     this.report = null;
-    this._losses = 0;
+    /** @type {ShownModel | null} */
+    this._shown = null;
+    /** @type {import("./present.js").Presenter | null} */
+    this._presenter = null;
+    /** @type {import("./source_files.js").SourceFile | null} Kept, so that it is not loaded again. */
+    this._file = null;
+    /** @type {string[]} The addresses that the last load tried. */
+    this._tried = [];
+    this._isPending = true; // until it is in view
+    this._loading = new AbortController();
+    /** @type {{file: any, orbit: OrbitCamera, playback: any, camera: any} | null} Of a model that comes back. */
+    this._kept = null;
+    this._isBack = false; // after a loss
+    /** @type {number[]} Moments at which the device was lost. */
+    this._losses = [];
+    this._failedFrames = 0;
     this._frameRequest = 0;
     this._isVisible = false;
     this._isDrawing = false;
+    this._isMissed = false;
+    /** What is set before there is a model. @type {{time?: number, plays?: boolean, orbit?: any}} */
+    this._wish = {};
+    this._rate = 1;
+    this._wasPaused = true;
+    this._turned = { byVisitor: -Infinity, last: 0 };
+    this._renewReady();
+    this.inputs = {};
     this._view.play.addEventListener("click", () => (this.paused ? this.play() : this.pause()));
     this._view.time.addEventListener("input", () => {
       // The slider shows the present time again when the model pauses.
@@ -52,51 +75,134 @@ export class GsgenModel extends HTMLElement {
       this.pause();
       this.currentTime = share * this.duration;
     });
-    this.addEventListener("dragover", (event) => this.hasAttribute("file-drop") && event.preventDefault());
+    this.addEventListener("dragover", (event) => this.fileDrop && event.preventDefault());
     this.addEventListener("drop", (event) => this._drop(event));
-    this._resizes = new ResizeObserver(() => this.requestFrame());
+    this._resizes = new ResizeObserver(() => this._requestFrame());
     this._visibility = new IntersectionObserver(([entry]) => this._see(entry.isIntersecting));
+    this._annotations = new Annotations(this, this._view.annotations, {
+      onChange: () => this._childrenChanged(),
+      complain: (where, problem) => this._complain(where, problem),
+    });
   }
 
   connectedCallback() {
-    this._view.describe(this.getAttribute("alt") ?? "", this.hasAttribute("camera-controls"));
-    this._view.showPoster(this.getAttribute("poster"));
+    super.connectedCallback();
+    this._describe();
+    this._view.showPoster(this._shown ? null : this.poster);
     this._resizes.observe(this);
     this._visibility.observe(this);
-    if (this.getAttribute("loading") === "eager") this._load();
+    this._annotations.observe();
+    if (!this._shown) this._isPending = true;
+    if (this.loading === "eager") this._loadIfPending();
+    this._requestFrame();
   }
 
   disconnectedCallback() {
-    this._resizes.disconnect();
-    this._visibility.disconnect();
-    this._release();
+    // An element that moves is connected again at once, and keeps its model.
+    queueMicrotask(() => {
+      if (this.isConnected) return;
+      this._resizes.disconnect();
+      this._visibility.disconnect();
+      this._annotations.disconnect();
+      this._loading.abort();
+      this._release();
+      this._enter("empty");
+    });
   }
 
   attributeChangedCallback(name, before, now) {
+    super.attributeChangedCallback(name, before, now);
     if (!this.isConnected || before === now) return;
-    if (name === "src" && (this._loading || this._isVisible)) this._load();
-    else if (name === "alt" || name === "camera-controls") {
-      this._view.describe(this.getAttribute("alt") ?? "", this.hasAttribute("camera-controls"));
-      this._listen();
-    } else if (name === "poster") this._view.showPoster(now);
-    else if (["camera-orbit", "field-of-view", "up"].includes(name)) this._placeCamera();
-    else if (name === "time" && this._playback) {
-      this._playback.value = Number(now);
+    const { _playback: playback, _shown: shown } = this;
+    if (name === "src") this._sourceChanged();
+    else if (name === "alt" || name === "camera-controls") this._describe();
+    else if (name === "poster" && !shown) this._view.showPoster(this.poster);
+    else if (name === "loading" && this.loading === "eager") this._loadIfPending();
+    else if (shown && NEW_HOME.includes(name)) shown.orbit = this._firstOrbit(shown.model);
+    else if (shown && NEW_LENS.includes(name)) shown.orbit = this._firstOrbit(shown.model).following(shown.orbit);
+    else if (playback && name === "loop") playback.loop = this._loops(playback);
+    else if (playback && name === "time" && this.time !== null) {
+      playback.value = this.time;
       this._timeChanged();
-    } else if (name === "loop" && this._playback) this._playback.loop = this._loops();
-    this.requestFrame();
+    }
+    this._requestFrame();
   }
 
-  // ----- Properties and methods
+  // ----- State
+
+  /** `empty`, `loading`, `ready` or `failed`; for CSS, too: `:state(failed)`. */
+  get state() {
+    return this._state;
+  }
+
+  /** A promise of the model of `src`: resolved when it is shown, rejected if it cannot be. */
+  get ready() {
+    return this._ready.promise;
+  }
+
+  /** Whether nothing remains to be loaded. */
+  get complete() {
+    return !candidatesOf(this).length || this._state === "ready" || this._state === "failed";
+  }
+
+  /** The address that is shown: that of `src`, or of a `<source>`. */
+  get currentSrc() {
+    return this._file?.address ?? "";
+  }
+
+  _renewReady() {
+    /** @type {PromiseWithResolvers<GsgenModel> & {isSettled?: boolean}} */
+    this._ready = Promise.withResolvers();
+    this._ready.promise.catch(() => {}); // the event `error` tells it, too
+  }
+
+  _settleReady(error = null) {
+    if (this._ready.isSettled) this._renewReady();
+    this._ready.isSettled = true;
+    if (error) this._ready.reject(error);
+    else this._ready.resolve(this);
+  }
+
+  /** @param {State} state */
+  _enter(state) {
+    if (state === this._state) return;
+    this._state = state;
+    this._internals.states.clear();
+    this._internals.states.add(state);
+    this._tell("statechange", { state });
+  }
+
+  _tell(name, detail) {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+
+  /** Tell an error, and show it in place of the model. */
+  _fail(error) {
+    const { rule = "", where = "", hint = "", message, findings = [] } = error;
+    this._view.hideProgress();
+    this._view.showError(error);
+    this.report = { manifest: null, errors: [{ rule, where, message, hint }], findings };
+    this._enter("failed");
+    this._tell("error", { rule, where, message, hint });
+    this._settleReady(error);
+    if (!(error instanceof GsgenError)) reportError(error);
+  }
+
+  // ----- Time
+
+  get _playback() {
+    return this._shown?.playback ?? this._kept?.playback ?? null;
+  }
 
   /** Seconds since the start of the model's time. */
   get currentTime() {
-    return this._playback?.currentTime ?? 0;
+    return this._playback?.currentTime ?? this._wish.time ?? 0;
   }
 
   set currentTime(seconds) {
-    if (!this._playback) return;
-    this._playback.currentTime = Math.min(Math.max(seconds, 0), this._playback.duration);
+    if (!this._isNumber("currentTime", seconds)) return;
+    if (this._playback) this._playback.currentTime = seconds;
+    else this._wish.time = seconds;
     this._timeChanged();
   }
 
@@ -105,8 +211,77 @@ export class GsgenModel extends HTMLElement {
   }
 
   get paused() {
-    return this._playback?.paused ?? true;
+    return this._playback?.paused ?? !this._wish.plays;
   }
+
+  get ended() {
+    return Boolean(this._playback?.paused && this._playback.ended);
+  }
+
+  /** How fast time passes: 1 is as the model says, and below 0 it goes back. */
+  get playbackRate() {
+    return this._rate;
+  }
+
+  set playbackRate(rate) {
+    if (!this._isNumber("playbackRate", rate)) return;
+    this._rate = rate;
+    if (this._playback) this._playback.rate = rate;
+    this._tell("ratechange", {});
+  }
+
+  /** Play the model's time, also before it is loaded. @returns {Promise<void>} Resolved when it plays. */
+  play() {
+    this._wish.plays = true;
+    this._playback?.play();
+    if (this._shown && !this._playback) this._complain("play()", "does nothing: the model has no time");
+    this._timeChanged();
+    const playing = this.ready.then(() => {});
+    playing.catch(() => {}); // the event `error` tells it, too
+    return playing;
+  }
+
+  pause() {
+    this._wish.plays = false;
+    this._playback?.pause();
+    this._timeChanged();
+  }
+
+  _isNumber(where, value) {
+    const isNumber = Number.isFinite(value);
+    if (!isNumber) this._complain(where, `is ${JSON.stringify(value) ?? value}, expected a finite number`);
+    return isNumber;
+  }
+
+  _loops(playback) {
+    return this.loop || playback.loopsByItself;
+  }
+
+  _startTime(playback) {
+    const { time, plays = this.autoplay && !wantsRest() } = this._wish;
+    playback.loop = this._loops(playback);
+    playback.rate = this._rate;
+    if (this.time !== null) playback.value = this.time;
+    if (time !== undefined) playback.currentTime = time;
+    if (plays) playback.play();
+    this._wish = { orbit: this._wish.orbit };
+  }
+
+  _timeChanged() {
+    const { _playback: playback, _shown: shown } = this;
+    this._view.showTime(playback);
+    if (!playback) return;
+    if (shown) shown.isStale = true;
+    this._tell("timeupdate", { currentTime: playback.currentTime });
+    if (playback.paused !== this._wasPaused) {
+      this._wasPaused = playback.paused;
+      this._tell(playback.paused ? "pause" : "play", {});
+      if (this.ended) this._tell("ended", {});
+    }
+    this._requestFrame();
+  }
+
+  // ----- Inputs
 
   /** Values of the model's inputs by name; they replace those of the time and the camera. */
   get inputs() {
@@ -114,273 +289,402 @@ export class GsgenModel extends HTMLElement {
   }
 
   set inputs(values) {
-    this._inputs = values;
-    this._isStale = true;
-    this.requestFrame();
+    const isObject = typeof values === "object" && values !== null && !Array.isArray(values);
+    if (!isObject) this._complain("inputs", `is ${JSON.stringify(values) ?? typeof values}, expected values by name`);
+    const changed = (isDone) => {
+      this._checkInputs();
+      this.requestFrame();
+      return isDone;
+    };
+    /** @type {Record<string, any>} */
+    this._inputs = new Proxy(isObject ? values : {}, {
+      set: (target, name, value) => changed(Reflect.set(target, name, value)),
+      deleteProperty: (target, name) => changed(Reflect.deleteProperty(target, name)),
+    });
+    changed(true);
   }
 
-  /** The camera of the last frame. */
+  /** Tell which inputs the model lacks. */
+  _checkInputs() {
+    if (!this._shown) return;
+    const { inputs } = this._shown.model;
+    const known = inputs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
+    const names = inputs.map(({ name }) => name).join(", ");
+    for (const name of Object.keys(this._inputs)) {
+      if (known.includes(name)) continue;
+      const nearest = nearestWord(name, known);
+      const hint = nearest ? `is ${nearest} meant?` : names ? `it has ${names}` : "it has none";
+      this._complain(`inputs.${name}`, `is no input of the model; ${hint}`);
+    }
+  }
+
+  /** Draw again before the next repaint, with the present values of the inputs. */
+  requestFrame() {
+    if (this._shown) this._shown.isStale = true;
+    this._requestFrame();
+  }
+
+  // ----- Camera
+
+  /** The camera of the last frame; one that is set has a `view`, world → camera. */
   get camera() {
-    return this._camera ?? null;
+    return this._shown?.camera ?? this._kept?.camera ?? null;
   }
 
-  play() {
-    this._playback?.play();
-    this._timeChanged();
+  set camera(camera) {
+    const { view, fy, height } = camera ?? {};
+    const fieldOfView = fy && height ? (360 / Math.PI) * Math.atan(height / (2 * fy)) : undefined;
+    this.orbit = /** @type {any} */ ({ view, fieldOfView });
   }
 
-  pause() {
-    this._playback?.pause();
-    this._timeChanged();
+  /**
+   * Azimuth, elevation, fieldOfView (degrees), radius and target of the camera; of those that are
+   * set, what is absent stays.
+   * @returns {import("./orbit_camera.js").Orbit | null}
+   */
+  get orbit() {
+    return (this._shown ?? this._kept)?.orbit.orbitState ?? null;
+  }
+
+  set orbit(orbit) {
+    const problem = orbitProblem(orbit);
+    const camera = (this._shown ?? this._kept)?.orbit;
+    if (problem) this._complain(problem.where, problem.message);
+    else if (camera) camera.move(/** @type {any} */ (orbit));
+    else this._wish.orbit = { ...this._wish.orbit, ...orbit };
+    this._moved();
   }
 
   /** Turn the camera towards a point of the world. @param {number[]} point */
   lookAt(point) {
-    this._orbit?.focus(point);
+    const problem = orbitProblem({ target: point });
+    if (problem) return this._complain("lookAt()", `got ${JSON.stringify(point)}, expected a point [x, y, z]`);
+    this._shown?.orbit.focus(point);
     this._moved();
   }
 
-  /** Return the picture as a PNG. @param {string} [type] @returns {Promise<Blob>} */
-  async toBlob(type = "image/png") {
-    await this._draw(performance.now(), true);
-    return new Promise((resolve, reject) => {
-      this._view.canvas.toBlob((blob) => {
-        if (blob) resolve(blob);
-        else reject(new GsgenError("the picture cannot be encoded", { where: type }));
-      }, type);
+  /** Return to the first camera. */
+  resetCamera() {
+    this._shown?.orbit.reset();
+    this._moved();
+  }
+
+  /** Return the camera of the attributes. */
+  _firstOrbit({ extent, up }) {
+    const [azimuth, elevation, radius] = this._valueOf("camera-orbit").map((part) => part ?? undefined);
+    const given = this._valueOf("camera-target");
+    const target = given.length === 3 ? given.map((part, axis) => part ?? extent.center[axis]) : undefined;
+    const limits = ["min-camera-orbit", "max-camera-orbit"].map((name) => this._valueOf(name));
+    const [, sign, letter] = /^([+-]?)([xyz])$/.exec(this.up) ?? [];
+    const axis = letter ? ["x", "y", "z"].map((name) => Number(name === letter && `${sign}1`)) : up;
+    return new OrbitCamera(extent, axis, { azimuth, elevation, radius, target, fieldOfView: this.fieldOfView, limits });
+  }
+
+  _describe() {
+    this._view.describe(this.alt, this.cameraControls);
+    this._listener?.destroy();
+    this._listener = null;
+    if (!this.cameraControls) return;
+    this._listener = new ControlListener(this._view.canvas, () => this._shown?.orbit ?? null, {
+      onMove: () => {
+        this._turned.byVisitor = performance.now();
+        this._moved();
+      },
+      onFocus: async (x, y) => {
+        const found = await this.pick(x, y);
+        if (found) this.lookAt(found.point);
+      },
     });
   }
 
-  /** Draw again before the next repaint. */
-  requestFrame() {
-    if (this._frameRequest || !this._model || !this._isVisible) return;
-    this._frameRequest = requestAnimationFrame((now) => {
-      this._frameRequest = 0;
-      this._draw(now).catch((error) => this._model && this._fail(error));
-    });
+  _moved() {
+    this._requestFrame();
+    this._tell("camera-change", {});
+  }
+
+  /** Turn the camera by itself, where the attribute `auto-rotate` asks for it. */
+  _rotate(now) {
+    const seconds = Math.min((now - this._turned.last) / 1000, 0.1);
+    this._turned.last = now;
+    if (!this.autoRotate || wantsRest()) return;
+    const angle = (seconds * this.rotationPerSecond * Math.PI) / 180;
+    if (now - this._turned.byVisitor > REST) this._shown?.orbit.orbit(angle, 0);
+    this._requestFrame();
+  }
+
+  // ----- What is shown
+
+  /**
+   * Return what lies at a place of the element, in its CSS pixels; null where nothing is.
+   * @returns {Promise<{point: number[], normal: number[] | null, model: GsgenModel} | null>}
+   */
+  async pick(x, y) {
+    if (![x, y].every((part) => this._isNumber("pick(x, y)", part))) return null;
+    const found = await this._shown?.pick(x / this.clientWidth, y / this.clientHeight);
+    return found ? { ...found, model: this } : null;
+  }
+
+  /** Return the least and greatest coordinates of the model, without what floats far outside. */
+  getBoundingBox() {
+    return this._shown?.boundingBox ?? null;
+  }
+
+  /**
+   * Return the picture, encoded.
+   * @param {{width?: number, height?: number, type?: string, quality?: number} | string} [options]
+   *     Pixels; as large as the element if absent. A text is the type.
+   * @returns {Promise<Blob>}
+   */
+  async toBlob(options = {}) {
+    const [ownWidth, ownHeight] = this._size();
+    const given = typeof options === "string" ? { type: options } : options;
+    const { width = ownWidth, height = ownHeight, type, quality } = given;
+    await this.ready;
+    const shown = this._shown;
+    if (!shown) throw new GsgenError("there is no model", { where: "toBlob()" });
+    const most = shown.kernels.device.limits.maxTextureDimension2D;
+    if (![width, height].every((side) => Number.isInteger(side) && side >= 1 && side <= most)) {
+      throw new GsgenError(`is ${width}×${height}, expected whole numbers from 1 to ${most}`, { where: "toBlob()" });
+    }
+    return shown.picture(width, height, this._look(), { type, quality });
   }
 
   // ----- Loading
 
   _see(isVisible) {
     this._isVisible = isVisible;
-    if (isVisible && !this._loading) this._load();
-    this.requestFrame();
+    if (isVisible) this._loadIfPending();
+    this._requestFrame();
   }
 
   /** Show a file that was dropped on an element with the attribute `file-drop`. */
   _drop(event) {
     const file = event.dataTransfer?.files[0];
-    if (!file || !this.hasAttribute("file-drop")) return;
+    if (!file || !this.fileDrop) return;
     event.preventDefault();
-    this.setAttribute("name", file.name);
-    this.setAttribute("src", URL.createObjectURL(file));
+    this.name = file.name;
+    this.src = URL.createObjectURL(file);
   }
 
+  _childrenChanged() {
+    const sources = candidatesOf(this).map(({ source }) => source);
+    const isLonger = this._state === "failed" && sources.length > this._tried.length;
+    if (sources[0] !== this._tried[0] || isLonger) this._sourceChanged();
+    this._requestFrame();
+  }
+
+  _sourceChanged() {
+    this._isPending = true;
+    this._kept = null;
+    this._loading.abort();
+    if (this._ready.isSettled) this._renewReady();
+    if (candidatesOf(this).length) {
+      if (this._isVisible || this._shown || this.loading === "eager") this._loadIfPending();
+      return;
+    }
+    this._release();
+    [this._file, this._kept, this._tried] = [null, null, []];
+    this._view.showError(null);
+    this._view.hideProgress();
+    this._view.showPoster(this.poster);
+    this._enter("empty");
+  }
+
+  _loadIfPending() {
+    if (this._isPending && this.isConnected) this._load();
+  }
+
+  /** Release the model, but for its camera and time: it may come back. */
   _release() {
     cancelAnimationFrame(this._frameRequest);
     this._frameRequest = 0;
-    this._loading?.abort();
-    this._loading = null;
-    this._listener?.destroy();
-    this._listener = null;
-    this._renderer?.destroy();
+    if (this._shown) {
+      const { file, orbit, playback, camera } = this._shown;
+      this._kept = { file, orbit, playback, camera };
+      this._shown.destroy();
+    }
     this._presenter?.destroy();
-    this._model?.destroy();
-    this._renderer = this._presenter = this._model = this._playback = this._orbit = null;
+    this._shown = this._presenter = null;
   }
 
   async _load() {
-    const source = this.getAttribute("src");
-    this._release();
-    if (!source) return;
-    const loading = new AbortController();
-    this._loading = loading;
+    const candidates = candidatesOf(this);
+    this._loading.abort();
+    const { signal } = (this._loading = new AbortController());
+    this._tried = candidates.map(({ source }) => source);
+    this._isPending = !candidates.length;
+    if (!candidates.length) {
+      const types = [...this.querySelectorAll(":scope > source")].map((element) => element.getAttribute("type"));
+      if (types.length) this._complain("source", `has no type that is shown: ${types.join(", ")}`);
+      return;
+    }
+    if (this._ready.isSettled) this._renewReady();
     this._view.showError(null);
-    try {
-      await this._open(source, loading.signal);
-    } catch (error) {
-      if (!loading.signal.aborted) this._fail(error);
+    this._enter("loading");
+    for (const { source, element } of candidates) {
+      try {
+        return await this._open(source, signal);
+      } catch (error) {
+        await pause(LOSS_DELAY); // a loss of the device loads again
+        if (signal.aborted) return;
+        element?.dispatchEvent(new Event("error"));
+        if (source !== candidates[candidates.length - 1].source) continue;
+        this._release();
+        this._fail(error);
+      }
     }
   }
 
   async _open(source, signal) {
-    const started = sharedKernels();
-    const data = download(
-      source,
-      (loaded, total) => {
-        this._view.showProgress(loaded, total);
-        this._tell("progress", { loaded, total });
-      },
-      signal,
-    );
-    const [kernels, bytes] = await Promise.all([started, data]);
-    await kernels.presenting; // so that no frame comes between the model and its camera
+    const file = sourceFile(source);
+    this._file = file;
+    const progress = (loaded, total) => {
+      this._view.showProgress(loaded, total);
+      this._tell("progress", { loaded, total });
+    };
+    const [kernels, bytes] = await Promise.all([sharedKernels(), file.bytes(progress, signal)]);
+    const pipeline = await kernels.presenting;
     signal.throwIfAborted();
+    kernels.device.lost.then((loss) => signal.aborted || this._lose(loss));
     const name = this.getAttribute("name") ?? source;
-    const number = (attribute) => parseFloat(this.getAttribute(attribute) ?? "") || undefined;
     const model = await openModel(kernels, bytes, name, {
       source,
-      target: this.getAttribute("target") ?? undefined,
-      maxError: number("max-error"),
-      maxSplats: number("max-splats"),
-      onChange: () => this.requestFrame(),
+      target: this.target,
+      maxError: this.maxError ?? undefined,
+      maxSplats: this.maxSplats ?? undefined,
+      onChange: () => this._requestFrame(),
       onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
     });
-    if (signal.aborted) return model.destroy();
-    this._watch(kernels.device, signal);
-    this._model = model;
-    this._renderer = new Renderer(kernels, { onStale: () => this.requestFrame() });
-    this._renderer.setScene(model.sets);
-    this._presenter = new Presenter(kernels, this._view.canvas);
-    await this._presenter.prepare();
-    if (model.time) this._startTime(model.time);
-    this._placeCamera();
-    this._listen();
-    this._isStale = true;
-    await this._draw(performance.now());
+    const shown = new ShownModel(kernels, model, pipeline, file, () => this._requestFrame());
+    if (signal.aborted) return shown.destroy();
+    this._prepare(shown);
+    const [width, height] = this._size();
+    // The last picture stays until this one is drawn.
+    const failure = width && height ? await shown.draw(width, height, this._look()).then(() => null, (error) => error) : null;
+    if (failure) await pause(LOSS_DELAY);
+    if (signal.aborted) return shown.destroy();
+    this._shown?.destroy();
+    [this._shown, this._kept, this._failedFrames] = [shown, null, 0];
     this._view.hideProgress();
     this._view.showPoster(null);
     this._view.say(`Loaded: ${this.getAttribute("alt") ?? name}`);
+    this._timeChanged();
+    this._checkInputs();
+    if (failure) return this._fail(failure);
+    this._present(this._look());
+    this._succeed();
+    this._requestFrame();
+  }
+
+  /** Give a model its camera and its time: its own of before, or those of the attributes. */
+  _prepare(shown) {
+    const kept = this._kept?.file === shown.file ? this._kept : null;
+    if (kept) {
+      [shown.orbit, shown.playback] = [kept.orbit, kept.playback];
+      return;
+    }
+    shown.orbit = this._firstOrbit(shown.model);
+    if (this._wish.orbit) shown.orbit.move(this._wish.orbit);
+    if (shown.playback) this._startTime(shown.playback);
+    this._wish = {};
+  }
+
+  /** Tell that the model is shown, at first or again. */
+  _succeed() {
+    const { model } = /** @type {ShownModel} */ (this._shown);
+    const isRecovery = this._isBack || this._state === "failed";
+    this._isBack = false;
+    this._view.showError(null);
     this.report = { manifest: model.manifest ?? null, errors: [], findings: model.findings ?? [] };
-    this._tell("load", { count: model.buffers.count });
-    this.requestFrame();
+    this._enter("ready");
+    this._tell(isRecovery ? "recover" : "load", { count: model.buffers.count });
+    this._settleReady();
   }
 
   /** Open everything again if the device goes away, as browsers allow after a driver's fault. */
-  _watch(device, signal) {
-    device.lost.then(({ message, reason }) => {
-      if (signal.aborted) return;
-      this._losses += 1;
-      if (this._losses <= MOST_LOSSES) this._load();
-      else this._fail(new GsgenError(`the graphics device was lost: ${message || reason}`));
-    });
-  }
-
-  _fail(error) {
-    this._view.hideProgress();
-    this._view.showError(error);
-    const { rule = "", where = "", hint = "", message, findings = [] } = error;
-    this.report = { manifest: null, errors: [{ rule, where, message, hint }], findings };
-    this._tell("error", { rule, where, message, hint });
-    if (!(error instanceof GsgenError)) throw error;
-  }
-
-  _tell(name, detail) {
-    this.dispatchEvent(new CustomEvent(name, { detail }));
-  }
-
-  // ----- Time
-
-  _loops() {
-    return this.hasAttribute("loop") || Boolean(this._model?.time?.loop);
-  }
-
-  _startTime(time) {
-    const playback = new Playback(time);
-    this._playback = playback;
-    playback.loop = this._loops();
-    if (this.hasAttribute("time")) playback.value = Number(this.getAttribute("time"));
-    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (this.hasAttribute("autoplay") && !isStill) playback.play();
-    this._view.showTime(playback);
-  }
-
-  _timeChanged() {
-    this._isStale = true;
-    this._view.showTime(this._playback ?? null);
-    this._tell("timeupdate", { currentTime: this.currentTime });
-    this.requestFrame();
-  }
-
-  // ----- Camera
-
-  _placeCamera() {
-    if (!this._model) return;
-    const orbit = (this.getAttribute("camera-orbit") ?? "").trim().split(/[\s,]+/).map(parseFloat);
-    const [azimuth, elevation, radius] = orbit.map((x) => (Number.isFinite(x) ? x : undefined));
-    const fovY = parseFloat(this.getAttribute("field-of-view") ?? "") || undefined;
-    const axis = /^([+-]?)([xyz])$/.exec(this.getAttribute("up") ?? "");
-    const up = axis
-      ? ["x", "y", "z"].map((name) => (name === axis[2] ? (axis[1] === "-" ? -1 : 1) : 0))
-      : this._model.up;
-    this._orbit = new OrbitCamera(this._model.extent, up, { azimuth, elevation, radius, fovY });
-    this.requestFrame();
-  }
-
-  _listen() {
-    this._listener?.destroy();
-    this._listener = null;
-    if (!this._model || !this.hasAttribute("camera-controls")) return;
-    this._listener = new ControlListener(this._view.canvas, () => this._orbit ?? null, {
-      onMove: () => this._moved(),
-      onFocus: (x, y) => this._focusAt(x, y).catch((error) => this._fail(error)),
-    });
-  }
-
-  _moved() {
-    this.requestFrame();
-    this._tell("camera-change", {});
-  }
-
-  /** Turn to the surface at a place of the canvas, in CSS pixels. */
-  async _focusAt(x, y) {
-    const { _renderer: renderer, _camera: camera } = this;
-    if (!renderer || !camera) return;
-    const { clientWidth, clientHeight } = this._view.canvas;
-    const [across, down] = [(x * camera.width) / clientWidth, (y * camera.height) / clientHeight];
-    await renderer.draw(camera, { outputs: ["depth"] });
-    const image = await renderer.readImage("depth");
-    const pixel = 4 * (Math.floor(down) * camera.width + Math.floor(across));
-    const median = image[pixel + 1];
-    if (median > 0) this._orbit?.focus(unproject(camera, across, down, median));
-    this._moved();
+  _lose({ message, reason }) {
+    const now = performance.now();
+    this._losses = [...this._losses.filter((moment) => now - moment < MINUTE), now];
+    this._release();
+    this._isBack = true;
+    if (this._losses.length <= MOST_LOSSES) this._load();
+    else {
+      this._loading.abort();
+      this._fail(new GsgenError(`the graphics device was lost: ${message || reason}`));
+    }
   }
 
   // ----- Frames
 
-  async _draw(now, isWhole = false) {
-    const { canvas } = this._view;
+  /** Return width and height of the picture, in pixels. */
+  _size() {
     const scale = Math.min(devicePixelRatio, MOST_PIXELS_PER_CSS);
-    const [width, height] = [this.clientWidth, this.clientHeight].map((x) => Math.round(x * scale));
-    if (!this._model || !this._orbit || !width || !height) return;
+    return [this.clientWidth, this.clientHeight].map((side) => Math.round(side * scale));
+  }
+
+  /** @returns {import("./shown_model.js").Look} */
+  _look() {
+    const color = this._valueOf("background");
+    const background = color ? computedColor(this._view.probe, color) : [0, 0, 0, 1];
+    return { mode: this.mode, background, inputs: this._inputs };
+  }
+
+  _requestFrame() {
+    if (this._frameRequest || !this._shown || !this._isVisible) return;
+    this._frameRequest = requestAnimationFrame((now) => {
+      this._frameRequest = 0;
+      this._draw(now);
+    });
+  }
+
+  async _draw(now) {
+    const { _shown: shown } = this;
+    const [width, height] = this._size();
+    if (!shown || !width || !height) return;
     if (this._isDrawing) {
       this._isMissed = true;
       return;
     }
     this._isDrawing = true;
     try {
-      if (canvas.width !== width) canvas.width = width;
-      if (canvas.height !== height) canvas.height = height;
-      await this._drawFrame(this._orbit.camera(width, height), now, isWhole);
+      if (shown.playback?.advance(now)) this._timeChanged();
+      this._rotate(now);
+      const look = this._look();
+      await shown.draw(width, height, look);
+      if (this._shown === shown) this._present(look);
+    } catch (error) {
+      await this._failFrame(error, shown);
     } finally {
       this._isDrawing = false;
     }
-    if (this._isMissed || (this._playback && !this._playback.paused)) this.requestFrame();
+    const plays = shown.playback && !shown.playback.paused && this._failedFrames < MOST_FAILED_FRAMES;
+    if (this._isMissed || plays) this._requestFrame();
     this._isMissed = false;
   }
 
-  async _drawFrame(camera, now, isWhole) {
-    const { _model: model, _playback: playback, _renderer: renderer } = this;
-    if (playback?.advance(now)) this._timeChanged();
-    if (this._isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
-      if (await model.update({ ...time, ...this._inputs }, camera)) renderer.setScene(model.sets);
-      if (this._model !== model) return; // removed or replaced meanwhile
-      this._isStale = false;
+  /** Show the last frame on the canvas. @param {import("./shown_model.js").Look} look */
+  _present(look) {
+    const { _shown: shown, _view: { canvas } } = this;
+    if (!shown?.camera) return;
+    const { camera } = shown;
+    if (canvas.width !== camera.width) canvas.width = camera.width;
+    if (canvas.height !== camera.height) canvas.height = camera.height;
+    if (this._presenter?.device !== shown.kernels.device) {
+      this._presenter?.destroy();
+      this._presenter = shown.presenterOf(canvas);
     }
-    const mode = this.getAttribute("mode") ?? "color";
-    const output = mode === "normal" ? "normal" : mode === "color" ? "color" : "depth";
-    const options = { outputs: [output], background: colorOf(this.getAttribute("background") ?? "0 0 0") };
-    if (isWhole) await renderer.drawWhole(camera, options);
-    else await renderer.draw(camera, options);
-    if (this._model !== model) return;
-    this._camera = camera;
-    const { distance, extent } = this._orbit;
-    this._presenter.show(renderer.host.image(output), camera, {
-      mode,
-      depths: [Math.max(distance - extent.reach, 0), distance + extent.reach],
-      isLinear: model.buffers.isLinear,
-    });
+    shown.show(this._presenter, look);
+    this._annotations.place(camera);
+    if (this._failedFrames || this._state === "failed") this._succeed();
+    this._failedFrames = 0;
+  }
+
+  /** Tell the error of a frame once; the next frame that is drawn takes it back. */
+  async _failFrame(error, shown) {
+    await pause(LOSS_DELAY);
+    if (this._shown !== shown) return; // removed, replaced or lost meanwhile
+    this._failedFrames += 1;
+    const isKnown = this._state === "failed" && this.report?.errors[0]?.message === error.message;
+    if (!isKnown) this._fail(error);
   }
 }

@@ -1,22 +1,38 @@
 /** The shadow tree of the element: canvas, poster, progress, player, and texts. */
 
-import { MARKUP } from "./element_markup.js";
+import { elementStyle } from "./element_style.js";
 
 const KEYS_HELP = "Arrow keys turn, plus and minus zoom, W A S D fly, Home resets.";
 
+/** Return an element that is a named part of the shadow tree, with attributes and children. */
+function part(tag, name, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  element.setAttribute("part", name);
+  for (const [attribute, value] of Object.entries(attributes)) element.setAttribute(attribute, value);
+  element.append(...children);
+  return /** @type {any} */ (element);
+}
+
 /** The parts of an element, and what they say. */
 export class ElementView {
+  /** @param {ShadowRoot} root */
   constructor(root) {
-    root.innerHTML = MARKUP;
-    const part = (name) => /** @type {any} */ (root.querySelector(`[part=${name}]`));
-    this.canvas = part("canvas");
-    this.poster = part("poster");
-    this.play = part("play");
-    this.time = part("time");
-    this._bar = part("bar");
-    this._player = part("player");
-    this._error = part("error");
-    this._status = /** @type {HTMLElement} */ (root.querySelector(".status"));
+    root.adoptedStyleSheets = [elementStyle()];
+    this.canvas = part("canvas", "canvas", { role: "img", width: "1", height: "1" });
+    this.poster = part("img", "poster", { alt: "", hidden: "" });
+    this.annotations = part("div", "annotations", { hidden: "" });
+    const progress = { role: "progressbar", "aria-label": "Loading", "aria-valuemin": "0", "aria-valuemax": "100" };
+    this._bar = part("div", "bar", { ...progress, hidden: "" });
+    this.play = part("button", "play", { type: "button", "aria-label": "Play" }, "▶");
+    const range = { type: "range", min: "0", max: "1000", step: "5", value: "0" };
+    this.time = part("input", "time", { ...range, "aria-label": "Time" });
+    this._player = part("div", "player", { hidden: "" }, this.play, this.time);
+    this._error = part("p", "error", { role: "alert", hidden: "" });
+    this._status = part("div", "status", { class: "status", role: "status" });
+    /** Where colours of CSS are computed. */
+    this.probe = part("span", "probe", { hidden: "" });
+    const parts = [this.canvas, this.poster, this.annotations, this._bar, this._player, this._error];
+    root.append(...parts, this._status, this.probe);
   }
 
   describe(alt, isInteractive) {
@@ -28,14 +44,16 @@ export class ElementView {
   showPoster(address) {
     this.poster.hidden = !address;
     if (address) this.poster.src = address;
+    else this.poster.removeAttribute("src");
   }
 
   /** Show how much of a file has arrived; the total is 0 where nobody knows it. */
   showProgress(loaded, total) {
-    const percent = total ? Math.round((100 * loaded) / total) : 50;
+    const percent = total ? Math.round((100 * Math.min(loaded, total)) / total) : 50;
     this._bar.hidden = false;
     this._bar.style.width = `${percent}%`;
     if (total) this._bar.setAttribute("aria-valuenow", String(percent));
+    else this._bar.removeAttribute("aria-valuenow");
     if (!this._status.textContent) this.say("Loading");
   }
 

@@ -17,19 +17,19 @@ export function readingBuffer(device, label, size) {
 }
 
 /**
- * Return a copy of the first numbers of a buffer.
+ * Return a copy of some numbers of a buffer, from an offset in bytes on.
  * @template {ArrayBufferView} T
  * @param {GPUDevice} device
  * @param {GPUBuffer} buffer
  * @param {new (bytes: ArrayBuffer, offset?: number, count?: number) => T} Numbers
  * @returns {Promise<T>}
  */
-export async function readBuffer(device, buffer, Numbers, count) {
+export async function readBuffer(device, buffer, Numbers, count, offset = 0) {
   const bytes = /** @type {any} */ (Numbers).BYTES_PER_ELEMENT * count;
   const size = Math.ceil(bytes / 4) * 4;
   const copy = readingBuffer(device, "read", size);
   const encoder = device.createCommandEncoder({ label: "read" });
-  encoder.copyBufferToBuffer(buffer, 0, copy, 0, size);
+  encoder.copyBufferToBuffer(buffer, offset, copy, 0, size);
   device.queue.submit([encoder.finish()]);
   try {
     await copy.mapAsync(GPUMapMode.READ);

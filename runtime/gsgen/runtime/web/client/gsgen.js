@@ -2,7 +2,9 @@
 
 import { GsgenModel } from "./element.js";
 
-if (!customElements.get("gsgen-model")) customElements.define("gsgen-model", GsgenModel);
+// Servers import the module, and have no elements.
+if (globalThis.customElements && !customElements.get("gsgen-model")) customElements.define("gsgen-model", GsgenModel);
 
 export { GsgenModel };
 export { GsgenError } from "./errors.js";
+export { ortSettings } from "./onnx_runtime.js";

@@ -71,6 +71,6 @@ export function choosePlan(plans, shape, sizes) {
 }
 
 /** Load the plans that lie beside this module. @returns {Promise<PlanDocument>} */
-export async function loadPlans(address = new URL("plans.json", import.meta.url)) {
+export async function loadPlans(address = new URL("./plans.json", import.meta.url)) {
   return parsedJson(await download(String(address)));
 }

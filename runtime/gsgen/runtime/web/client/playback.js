@@ -1,4 +1,6 @@
-/** The time of a model: plays, pauses, loops. */
+/** The time of a model: plays, pauses, loops, at any rate. */
+
+const LONGEST_STEP = 1; // seconds between two frames; more have passed where the page was hidden
 
 /** A clock over the range of a model's time input. */
 export class Playback {
@@ -7,10 +9,20 @@ export class Playback {
     this.high = high;
     this.duration = seconds;
     this.loop = loop;
+    this.loopsByItself = loop;
     this.paused = true;
     this.rate = 1;
-    this.currentTime = 0; // seconds
+    this._time = 0;
     this._last = 0;
+  }
+
+  /** Seconds since the start, within the duration. */
+  get currentTime() {
+    return this._time;
+  }
+
+  set currentTime(seconds) {
+    this._time = Math.min(Math.max(seconds, 0), this.duration);
   }
 
   /** The value of the time input. */
@@ -22,8 +34,13 @@ export class Playback {
     this.currentTime = ((value - this.low) / (this.high - this.low || 1)) * this.duration;
   }
 
+  /** Whether it plays towards an end that it has reached. */
+  get ended() {
+    return !this.loop && this._time === (this.rate < 0 ? 0 : this.duration);
+  }
+
   play() {
-    if (this.currentTime >= this.duration) this.currentTime = 0;
+    if (this.ended) this._time = this.rate < 0 ? this.duration : 0;
     this.paused = false;
     this._last = 0;
   }
@@ -38,12 +55,13 @@ export class Playback {
    */
   advance(now) {
     if (this.paused) return false;
-    const seconds = this._last ? Math.min((now - this._last) / 1000, 1) * this.rate : 0;
+    const seconds = this._last ? Math.min((now - this._last) / 1000, LONGEST_STEP) : 0;
     this._last = now;
-    this.currentTime += seconds;
-    if (this.currentTime < this.duration) return true;
-    this.paused = !this.loop;
-    this.currentTime = this.loop ? this.currentTime % this.duration : this.duration;
+    const time = this._time + seconds * this.rate;
+    const { duration } = this;
+    if (this.loop) this._time = ((time % duration) + duration) % duration;
+    else this.currentTime = time;
+    this.paused = this.ended;
     return true;
   }
 }

@@ -5,35 +5,34 @@ import { showingUniform } from "./uniforms.js";
 
 /** Shows images on one canvas. */
 export class Presenter {
-  /** @param {import("./host.js").KernelCache} kernels @param {HTMLCanvasElement} canvas */
-  constructor(kernels, canvas) {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {HTMLCanvasElement | OffscreenCanvas} canvas
+   * @param {GPURenderPipeline} pipeline The kernels' own.
+   */
+  constructor(kernels, canvas, pipeline) {
     this.device = kernels.device;
     this.plans = kernels.plans;
-    this._kernels = kernels;
+    this._pipeline = pipeline;
     this._context = /** @type {GPUCanvasContext} */ (canvas.getContext("webgpu"));
     const { device } = this;
     const format = navigator.gpu.getPreferredCanvasFormat();
-    this._context.configure({ device, format, alphaMode: "opaque" });
+    this._context.configure({ device, format, alphaMode: "premultiplied" });
     this._canvas = canvas;
     this._uniform = uniformBuffer(device, "showing", this.plans.uniforms.showing.size);
     /** @type {{image: GPUBuffer, group: GPUBindGroup} | null} */
     this._bound = null;
   }
 
-  /** Compile the pipeline. */
-  async prepare() {
-    this._pipeline = await this._kernels.presenting;
-  }
-
   /**
    * @param {GPUBuffer} image
    * @param {import("./camera.js").Camera} camera The camera that drew the image.
-   * @param {{mode?: string, depths?: [number, number], isLinear?: boolean}} [look]
+   * @param {{mode?: string, depths?: [number, number], isLinear?: boolean, backgroundAlpha?: number}} [look]
    */
-  show(image, camera, { mode = "color", depths = [0, 1], isLinear = false } = {}) {
+  show(image, camera, { mode = "color", depths = [0, 1], isLinear = false, backgroundAlpha = 1 } = {}) {
     const { device, plans, _canvas: canvas } = this;
     const number = plans.present.modes[mode === "color" ? mode : `MODE_${mode.toUpperCase()}`];
-    const look = { mode: number, depths, isLinear };
+    const look = { mode: number, depths, isLinear, backgroundAlpha };
     const bytes = showingUniform(plans, camera, [canvas.width, canvas.height], look);
     device.queue.writeBuffer(this._uniform, 0, bytes);
     if (this._bound?.image !== image) {
@@ -45,7 +44,7 @@ export class Presenter {
     const view = this._context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({
       label: "present",
-      colorAttachments: [{ view, loadOp: "clear", storeOp: "store", clearValue: [0, 0, 0, 1] }],
+      colorAttachments: [{ view, loadOp: "clear", storeOp: "store", clearValue: [0, 0, 0, 0] }],
     });
     pass.setPipeline(this._pipeline);
     pass.setBindGroup(0, this._bound.group);

@@ -174,6 +174,12 @@ export class Renderer {
     return readBuffer(this.device, image, Float32Array, image.size / 4);
   }
 
+  /** Read four numbers of a pixel back. @returns {Promise<Float32Array>} */
+  readPixel(output, x, y) {
+    const offset = 16 * (y * this.host.sizes.width + x);
+    return readBuffer(this.device, this.host.image(output), Float32Array, 4, offset);
+  }
+
   /** Release all buffers but those of the sets. */
   destroy() {
     this.host.destroy();

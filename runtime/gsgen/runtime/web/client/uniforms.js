@@ -122,7 +122,7 @@ export function pageUniforms(plans, pages, camera) {
  * Return the bytes of the uniform that shows an image on a canvas.
  * @param {import("./camera.js").Camera} camera
  * @param {[number, number]} surface Width and height of the canvas, in pixels.
- * @param {{mode: number, depths: [number, number], isLinear: boolean}} look
+ * @param {{mode: number, depths: [number, number], isLinear: boolean, backgroundAlpha: number}} look
  */
 export function showingUniform(plans, camera, surface, look) {
   const uniform = new UniformWriter(plans.uniforms.showing);
@@ -133,6 +133,7 @@ export function showingUniform(plans, camera, surface, look) {
     size: [camera.width, camera.height],
     scale: [camera.width / surface[0], camera.height / surface[1]],
     row: camera.width, mode, near, far, is_linear: Number(look.isLinear),
+    background_alpha: look.backgroundAlpha,
   });
   return uniform.bytes;
 }

@@ -1,10 +1,16 @@
-<style>
+/** The style of the element's shadow tree: a constructed sheet, which every content policy allows. */
+
+const TEXT = `
 :host { display: block; position: relative; width: 100%; aspect-ratio: 16 / 9; overflow: hidden;
   background: var(--gsgen-background, #000); color: #fff; font: 14px/1.5 system-ui, sans-serif }
+:host([background]) { background: none }
 :host([hidden]) { display: none }
-canvas, img { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover }
+canvas, img, [part=annotations] { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover }
 canvas { touch-action: pan-y; outline-offset: -3px }
 canvas:focus-visible { outline: 3px solid var(--gsgen-accent, #6cf) }
+[part=annotations] { pointer-events: none; overflow: hidden }
+[part=annotations] > div { position: absolute; top: 0; left: 0 }
+::slotted(*) { pointer-events: auto; transform: translate(-50%, -50%) }
 [part=bar] { position: absolute; left: 0; bottom: 0; height: 3px; width: 0;
   background: var(--gsgen-accent, #6cf); transition: width .2s }
 [part=error] { position: absolute; inset: 0; margin: 0; padding: 1rem; display: grid; align-content: center;
@@ -18,13 +24,16 @@ input { flex: 1; accent-color: var(--gsgen-accent, #6cf) }
 [hidden] { display: none !important }
 .status { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%) }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important } }
-</style>
-<canvas part="canvas" role="img" width="1" height="1"></canvas>
-<img part="poster" alt="" hidden>
-<div part="bar" role="progressbar" aria-label="Loading" aria-valuemin="0" aria-valuemax="100" hidden></div>
-<div part="player" hidden>
-  <button part="play" type="button" aria-label="Play">▶</button>
-  <input part="time" type="range" min="0" max="1000" step="5" value="0" aria-label="Time">
-</div>
-<p part="error" role="alert" hidden></p>
-<div class="status" role="status"></div>
+`;
+
+/** @type {CSSStyleSheet | null} */
+let sheet = null;
+
+/** Return the sheet that all elements share. */
+export function elementStyle() {
+  if (!sheet) {
+    sheet = new CSSStyleSheet();
+    sheet.replaceSync(TEXT);
+  }
+  return sheet;
+}

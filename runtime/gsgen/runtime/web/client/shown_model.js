@@ -1,0 +1,172 @@
+/** A model on its way to the screen: with the renderer, the camera and the time that it is drawn with. */
+
+import { unproject } from "./camera.js";
+import { GsgenError } from "./errors.js";
+import { linearPart, normalized, times, transposed } from "./matrices.js";
+import { inTurns } from "./once.js";
+import { OrbitCamera } from "./orbit_camera.js";
+import { Playback } from "./playback.js";
+import { Presenter } from "./present.js";
+import { Renderer } from "./renderer.js";
+
+/**
+ * How a frame looks.
+ * @typedef {object} Look
+ * @property {"color" | "depth" | "median" | "normal" | "alpha"} mode
+ * @property {number[]} background Red, green, blue and alpha in sRGB.
+ * @property {Record<string, any>} inputs Values of the model's inputs.
+ */
+
+/** Return the value of a model's time input; frame numbers are whole. */
+function timeValue({ time }, playback) {
+  return time.isWhole ? Math.min(Math.floor(playback.value), time.high) : playback.value;
+}
+
+/** Return linear light of a number in sRGB. */
+function linearOf(part) {
+  return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+}
+
+export class ShownModel {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {import("./model.js").Model} model
+   * @param {GPURenderPipeline} pipeline What shows images on canvases.
+   * @param {import("./source_files.js").SourceFile} file
+   * @param {() => void} onStale Called when a frame has to be drawn again.
+   */
+  constructor(kernels, model, pipeline, file, onStale) {
+    this.kernels = kernels;
+    this.model = model;
+    this.file = file;
+    this._pipeline = pipeline;
+    this.renderer = new Renderer(kernels, { onStale });
+    this.renderer.setScene(model.sets);
+    this.playback = model.time ? new Playback(model.time) : null;
+    this.orbit = new OrbitCamera(model.extent, model.up);
+    /** @type {import("./camera.js").Camera | null} The camera of the last frame. */
+    this.camera = null;
+    this.isStale = true; // the Gaussians are those of other inputs
+    this.isDestroyed = false;
+    this._inTurn = inTurns(); // frames, and pictures between them
+  }
+
+  /** Draw a frame of the camera into GPU memory. @param {Look} look */
+  async draw(width, height, look) {
+    return this._inTurn(() => this._drawWith(this.renderer, this.orbit.camera(width, height), look));
+  }
+
+  /** Return what shows frames on a canvas. @param {HTMLCanvasElement | OffscreenCanvas} canvas */
+  presenterOf(canvas) {
+    return new Presenter(this.kernels, canvas, this._pipeline);
+  }
+
+  /** Show the last frame on a canvas. @param {Presenter} presenter @param {Look} look */
+  show(presenter, look) {
+    if (this.camera) this._show(presenter, this.renderer, this.camera, look);
+  }
+
+  async _drawWith(renderer, camera, look, { isWhole = false } = {}) {
+    const { model, playback } = this;
+    if (this.isDestroyed) return;
+    if (this.isStale || model.followsCamera) {
+      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
+      if (await model.update({ ...time, ...look.inputs }, camera)) this.renderer.setScene(model.sets);
+      if (this.isDestroyed) return;
+      this.isStale = false;
+    }
+    const [red, green, blue, alpha] = look.background;
+    const sRgb = [red, green, blue];
+    const light = model.buffers.isLinear ? sRgb.map(linearOf) : sRgb;
+    const options = { outputs: [this._output(look)], background: light.map((part) => part * alpha) };
+    if (renderer !== this.renderer) renderer.setScene(model.sets);
+    if (isWhole) await renderer.drawWhole(camera, options);
+    else await renderer.draw(camera, options);
+    if (renderer === this.renderer) this.camera = camera;
+  }
+
+  _output({ mode }) {
+    return mode === "normal" || mode === "color" ? mode : "depth";
+  }
+
+  _show(presenter, renderer, camera, look) {
+    const { distance, extent } = this.orbit;
+    presenter.show(renderer.host.image(this._output(look)), camera, {
+      mode: look.mode,
+      depths: [Math.max(distance - extent.reach, 0), distance + extent.reach],
+      isLinear: this.model.buffers.isLinear,
+      backgroundAlpha: look.background[3],
+    });
+  }
+
+  /** Run a task with a renderer of its own between two frames. */
+  async _aside(task) {
+    return this._inTurn(async () => {
+      const renderer = new Renderer(this.kernels);
+      try {
+        return await task(renderer);
+      } finally {
+        renderer.destroy();
+      }
+    });
+  }
+
+  /**
+   * Return a picture of the model in its own size, encoded.
+   * @param {Look} look
+   * @returns {Promise<Blob>}
+   */
+  async picture(width, height, look, { type = "image/png", quality = undefined } = {}) {
+    const canvas = new OffscreenCanvas(width, height);
+    const presenter = this.presenterOf(canvas);
+    try {
+      const blob = await this._aside(async (renderer) => {
+        const camera = this.orbit.camera(width, height);
+        await this._drawWith(renderer, camera, look, { isWhole: true });
+        if (this.isDestroyed) throw new GsgenError("the model was removed before its picture was drawn");
+        this._show(presenter, renderer, camera, look);
+        return canvas.convertToBlob({ type, quality }); // at once: the next task finds an empty canvas
+      });
+      if (blob.type !== type) throw new GsgenError(`the browser encodes no ${type}`, { hint: "Take image/png." });
+      return blob;
+    } finally {
+      presenter.destroy();
+    }
+  }
+
+  /**
+   * Return the point of the surface and its normal at a place of the last frame, in world units.
+   * @param {number} across Share of the width, from 0 to 1.
+   * @param {number} down
+   * @returns {Promise<{point: number[], normal: number[] | null} | null>} Null if there is no surface.
+   */
+  async pick(across, down) {
+    const { camera } = this;
+    if (!camera || !(across >= 0 && across < 1 && down >= 0 && down < 1)) return null;
+    const [x, y] = [across * camera.width, down * camera.height];
+    const pixel = /** @type {const} */ ([Math.floor(x), Math.floor(y)]);
+    return this._aside(async (renderer) => {
+      renderer.setScene(this.model.sets);
+      await renderer.drawWhole(camera, { outputs: ["depth"] });
+      const [, median] = await renderer.readPixel("depth", ...pixel);
+      if (!(median > 0)) return null;
+      await renderer.drawWhole(camera, { outputs: ["normal"] });
+      const [a, b, c] = await renderer.readPixel("normal", ...pixel);
+      const normal = Math.hypot(a, b, c) > 0 ? normalized(times(transposed(linearPart(camera.view)), [a, b, c])) : null;
+      return { point: unproject(camera, x, y, median), normal };
+    });
+  }
+
+  /** The box around most centres: floating Gaussians far outside are left out. */
+  get boundingBox() {
+    const { center, half = [0, 0, 0] } = this.model.extent;
+    return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
+  }
+
+  /** Release all GPU memory. */
+  destroy() {
+    this.isDestroyed = true;
+    this.renderer.destroy();
+    this.model.destroy();
+  }
+}
