@@ -103,8 +103,7 @@ export class GsgenCompositor {
     const kernels = await sharedKernels();
     const three = new THREE.WebGPURenderer({ device: kernels.device });
     await three.init();
-    const presenter = new Presenter(kernels, canvas);
-    await presenter.prepare();
+    const presenter = new Presenter(kernels, canvas, await kernels.presenting);
     const { pipeline } = kernels.plans.layers;
     return new GsgenCompositor(kernels, canvas, three, presenter, await kernels.pipeline(pipeline));
   }
