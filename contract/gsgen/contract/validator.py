@@ -4,6 +4,7 @@ __all__ = ["validate"]
 
 import os
 
+from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.engine import Progress, ignore_progress, validate_with
 from gsgen.contract.validation.report import Report
@@ -21,16 +22,18 @@ def validate(
     """Validate the model at ``path`` by every installed rule and return the report.
 
     Args:
-        path: An ONNX file; ``gsgen.tiles.validate`` validates tilesets.
+        path: An ONNX file, its address, or a ZIP archive of it; ``gsgen.tiles.validate`` validates
+            tilesets.
         settings: Level, target, limits and severities.
         registry: The rules to check; by default, all installed rules.
         progress: Called with a short text at the start of each stage.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model.
+        InputUnreadable: The file at an address cannot be had.
     """
     settings, registry = settings or Settings(), registry or installed_rules()
     if settings.only:
         registry = registry.with_needs(settings.only)
     models = registry.of_scope(tilesets=False)
-    return validate_with(models, path, settings, progress=progress)
+    return validate_with(models, local_file(path), settings, progress=progress)

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_table import Command, find_command, panels
+from gsgen.cli.fetched_inputs import with_fetched_inputs
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract._entry_points import (
     Extension,
@@ -145,11 +146,11 @@ def _click_command(
         app.add_typer(loaded, name=name)
         group = typer.main.get_group(app).commands[name]
         arrange_options(group)
-        return group
+        return with_fetched_inputs(group)
     if not callable(loaded):
         raise TypeError(f"{short_repr(loaded)}, expected a function or a typer.Typer")
     app.command(name, cls=cls, help=help, context_settings=settings)(loaded)
-    return typer.main.get_group(app).commands[name]
+    return with_fetched_inputs(typer.main.get_group(app).commands[name])
 
 
 def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsgen.cli.progress import clear
-from gsgen.cli.text_streams import unescaped
+from gsgen.cli.text_streams import unescaped, with_shown_names
 from gsgen.contract._safe_text import for_json, printable
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.process.atomic_files import atomic_write, is_device, similar_file_hint
@@ -49,7 +49,7 @@ def echo_json(document: Any, *, indent: int | None = 2) -> None:
 
 def echo_commands(text: str) -> None:
     """Print workflow commands of GitHub, whose values were escaped one by one."""
-    unescaped(sys.stdout).write(f"{text}\n")
+    unescaped(sys.stdout).write(f"{with_shown_names(text)}\n")
     sys.stdout.flush()
 
 
@@ -86,7 +86,7 @@ def append_text(path: Path, text: str) -> None:
     """Append text to a file to which other programs may write at the same time."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(text)
+            file.write(with_shown_names(text))
     except OSError as error:
         raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error
 
@@ -98,10 +98,10 @@ def write_text(path: Path, text: str) -> None:
     """
     if not is_device(path):
         with atomic_write(path) as draft:
-            draft.write_text(text, "utf-8", errors="backslashreplace")
+            draft.write_text(with_shown_names(text), "utf-8", errors="backslashreplace")
         return
     try:
         with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
-            device.write(text)
+            device.write(with_shown_names(text))
     except OSError as error:
         raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error

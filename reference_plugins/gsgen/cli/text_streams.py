@@ -6,8 +6,8 @@ machines, ASCII in the C locale. Printing ``→`` there raises UnicodeEncodeErro
 """
 
 __all__ = [
-    "SafeStream", "accept_any_text", "open_closed_streams", "safe_streams", "transliterate",
-    "unescaped",
+    "SafeStream", "accept_any_text", "open_closed_streams", "safe_streams", "show_path_as",
+    "transliterate", "unescaped", "with_shown_names",
 ]  # fmt: skip
 
 import codecs
@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 from typing import Any, Final, TextIO, final
 
-from gsgen.contract._safe_text import for_terminal
+from gsgen.contract._safe_text import for_terminal, printable
 
 _HANDLER_NAME: Final = "gsgen-transliterate"
 _ASCII_ERROR_HANDLER: Final = "gsgen-ascii"
@@ -39,6 +39,21 @@ _ASCII_BY_MARKUP_TAG: Final = {"<super>": "^", "<sub>": "_"}
 _COLOUR_CODE_PATTERN: Final = re.compile(r"(\x1b\[[0-9;]*m|\r\x1b\[2K)")
 _COLOUR_VARIABLES: Final = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
 
+_shown_names: Final[dict[str, str]] = {}
+"""Path of a temporary copy, or of its folder → the address that the user typed."""
+
+
+def show_path_as(path: str, name: str) -> None:
+    """Let texts name a temporary copy of a file by the address that the user typed."""
+    _shown_names[path] = printable(name)
+
+
+def with_shown_names(text: str) -> str:
+    """Return a text that names files as the user did."""
+    for path, name in _shown_names.items():
+        text = text.replace(path, name)
+    return text
+
 
 @final
 class SafeStream:
@@ -55,7 +70,9 @@ class SafeStream:
 
     def write(self, text: str) -> int:
         """Write a text with escape sequences of Python for characters without a glyph."""
-        parts = _COLOUR_CODE_PATTERN.split(text) if self._has_colours and "\x1b" in text else [text]
+        shown_text = with_shown_names(text)
+        has_codes = self._has_colours and "\x1b" in shown_text
+        parts = _COLOUR_CODE_PATTERN.split(shown_text) if has_codes else [shown_text]
         for number, part in enumerate(parts):
             is_colour = number % 2 == 1
             self.unescaped.write(part if is_colour else self._escape_text(part))

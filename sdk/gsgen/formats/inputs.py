@@ -1,4 +1,4 @@
-"""Finds the splat file that a path names: in a folder, an archive or standard input.
+"""Finds the splat file that a path names: in a folder, an archive, standard input, at an address.
 
 Known folders are those that training code writes: 3DGS (``point_cloud/iteration_N``), nerfstudio
 (``nerfstudio_models``), gsplat (``ply``, ``ckpts``); and those of an unpacked SOG.
@@ -17,10 +17,13 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, final
+from urllib.parse import urlsplit
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, kind_of
+from gsgen.contract.inputs.addresses import address_of
+from gsgen.contract.inputs.archived_file import MAX_INFLATION
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
-from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
+from gsgen.formats.shared.bytes import MAX_BYTES
 from gsgen.formats.shared.errors import ArchiveDamaged, FileUnreadable, NotSupported, SizeExceeded
 from gsgen.formats.shared.files import FileContent, FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
@@ -106,20 +109,24 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
 def resolve_input(path: FilePath, *, max_bytes: int = MAX_BYTES) -> FilePath:
     """Return the splat file that a path names.
 
-    ``-`` is standard input; a folder stands for its newest iteration or its one file of splats; a
+    An address is that of a file, which is fetched; ``-`` is standard input; a folder stands for its newest iteration or its one file of splats; a
     ZIP archive of another format for its one file of splats, and a gzip file for its
     content. The latter are unpacked in memory.
 
     Args:
-        path: A file, folder or ``-``.
+        path: A file, folder, address or ``-``.
         max_bytes: The limit of unpacked bytes.
 
     Raises:
         FormatError: The path cannot be read, or holds no file of splats, or several.
+        InputUnreadable: The file at an address cannot be had.
     """
-    with naming(path):
+    address = "" if isinstance(path, FileContent) else address_of(path)
+    with naming(address or path):
         file: FilePath = _standard_input() if os.fspath(path) == STANDARD_INPUT else path
-        if Path(path).is_dir():
+        if address:
+            file = _fetched_file(address)
+        elif Path(path).is_dir():
             file = _find_file_in_folder(Path(path))
         for _ in range(_MAX_NESTING):
             content = _unpack_archive(file, max_bytes)
@@ -135,6 +142,17 @@ def _standard_input() -> FileContent:
     if not content:
         raise FileUnreadable("standard input is empty", expected="the bytes of a file of splats")
     return _content_in_memory("standard input", content)
+
+
+def _fetched_file(address: str) -> FilePath:
+    """Return the file at an address: mapped, or on disk where it names files beside it."""
+    from gsgen.contract.inputs.local_copies import fetch, kept_folder, on_disk
+
+    if PurePosixPath(urlsplit(address).path).name in (META_FILE, STREAMED_META):
+        return fetch(address, kept_folder())
+    with on_disk(address) as path, open_file(path) as file:
+        name = address.partition("?")[0]  # the suffix counts
+        return FileContent(name, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def _content_in_memory(name: str, content: bytes | bytearray) -> FileContent:

@@ -20,10 +20,10 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
     no other format recognises. If no format fits, the suffix chooses the reader that explains
-    the fault. ``gsgen.tiles.open_splats`` also reads tilesets and addresses.
+    the fault. ``gsgen.tiles.open_splats`` also reads tilesets.
 
     Args:
-        path: The file.
+        path: The file, or its address: ``https://``, ``hf://OWNER/NAME/FILE``, ``s3://``, ….
         drop_invalid: Drop rows that cannot be drawn, and warn about them (FormatWarning); see
             :func:`read_ply`.
 
@@ -33,6 +33,7 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
 
     Raises:
         FormatError: The file cannot be read; the subclass names the cause.
+        InputUnreadable: The file at an address cannot be had.
     """
     if names_tileset(path):
         raise NotSupported(

@@ -1,6 +1,6 @@
 """A client of web servers, with a deadline and a byte budget for each file."""
 
-__all__ = ["WebClient", "fetch"]
+__all__ = ["LARGE_FILE_SECONDS", "WebClient", "fetch"]
 
 import io
 import random
@@ -15,13 +15,20 @@ from urllib.parse import urljoin
 
 from gsgen.contract.fetching.addresses import WebAddress, parse_address, parse_origin
 from gsgen.contract.fetching.connections import CONNECTION_ERRORS, ConnectionPool, WebConnection
-from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
+from gsgen.contract.fetching.deadline import (
+    FETCH_SECONDS,
+    Deadline,
+    NotPublicHostError,
+    fetch_seconds,
+)
 from gsgen.contract.fetching.errors import AddressNotAllowed, ServerUnavailable
 from gsgen.contract.fetching.response_body import body_chunks
 from gsgen.contract.fetching.responses import FilePart, check_status
 
+LARGE_FILE_SECONDS: Final = 3600.0
+"""Most seconds for a large file, all attempts together, where ``GSGEN_FETCH_SECONDS`` sets none."""
+
 _SECONDS: Final = 60.0  # for one file, all attempts together
-_LARGE_FILE_SECONDS: Final = 3600.0
 _STALL_SECONDS: Final = 8.0  # for the headers, and for each kilobyte after them
 _MAX_RETRY_COUNT: Final = 4
 _BACKOFF_SECONDS: Final = 0.25
@@ -35,9 +42,15 @@ _PERMANENT_ERRORS: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierro
 
 Result = TypeVar("Result")
 ByteProgressCallback = Callable[[int], None]
+SizeProgressCallback = Callable[[int, int | None], None]
+"""Called with the bytes of a file that have come, and with its size where the server tells it."""
 
 
 def _ignore_bytes(received: int) -> None:
+    """Report no progress."""
+
+
+def _ignore_size(received: int, total: int | None) -> None:
     """Report no progress."""
 
 
@@ -74,17 +87,20 @@ class WebClient:
     Errors of the server, connections that break and bodies that are cut short are tried four
     times more, at growing distance, or when ``Retry-After`` says so. All attempts for a file end
     at one deadline, and an attempt ends when the headers, or a kilobyte after them, take more than
-    eight seconds. Redirects are followed within the origin, and to the allowed ones. Bodies of
-    errors are not read.
+    eight seconds. Redirects are followed within the origin, and to the allowed ones; of a trusted
+    server also to any public host over https, but to none in a private network. Bodies of errors
+    are not read.
 
     Args:
         home_address: An address of the origin.
         seconds: For each file; ``GSGEN_FETCH_SECONDS``, or else 60, where absent.
         headers: Sent to the origin, and to no other.
         allow_origins: Other origins that redirects may lead to.
+        allow_public_hosts: Whether redirects may lead to other ports of the server's host, and over
+            https to hosts whose addresses are all public, as those of a hub to its storage do.
 
     Raises:
-        AddressRefused: ``home_address`` is malformed.
+        AddressNotAllowed: ``home_address`` is malformed.
         ConfigInvalid: An allowed origin or ``GSGEN_FETCH_SECONDS`` is malformed.
     """
 
@@ -95,11 +111,13 @@ class WebClient:
         seconds: float | None = None,
         headers: Mapping[str, str] | None = None,
         allow_origins: Sequence[str] = (),
+        allow_public_hosts: bool = False,
     ) -> None:
         self._home_origin = _parse_address(home_address).origin
         self._allowed_origins = {self._home_origin} | {
             parse_origin(origin, "--allow-origin") for origin in allow_origins
         }
+        self._allow_public_hosts = allow_public_hosts
         self._headers = dict(headers or {})
         self._seconds = seconds
         self._stall_seconds = min(self.deadline().seconds, _STALL_SECONDS)
@@ -157,11 +175,19 @@ class WebClient:
             max_bytes=max_bytes,
             max_undeclared=_MAX_UNDECLARED_BYTES,
         )
-        self._copy_response_body(part, data, on_bytes, deadline or self.deadline())
+        self._copy_response_body(
+            part, data, lambda received, _: on_bytes(received), deadline or self.deadline()
+        )
         return data.getvalue()
 
     def copy(
-        self, address: str, into: BinaryIO, *, max_bytes: int, deadline: Deadline | None = None
+        self,
+        address: str,
+        into: BinaryIO,
+        *,
+        max_bytes: int,
+        on_bytes: SizeProgressCallback = _ignore_size,
+        deadline: Deadline | None = None,
     ) -> None:
         """Copy a file of a web server into an empty file on disk.
 
@@ -169,30 +195,33 @@ class WebClient:
             address: Of the file.
             into: Receives the bytes; emptied before each attempt.
             max_bytes: More is an error.
+            on_bytes: Called with the number of bytes that have come, and with that of the file.
             deadline: Of several files together; by default each has its own.
 
         Raises:
             FetchFailed: The file cannot be had; the subclass says why.
         """
         part = FilePart(address=address, max_bytes=max_bytes, max_undeclared=max_bytes)
-        self._copy_response_body(part, into, _ignore_bytes, deadline or self.deadline())
+        self._copy_response_body(part, into, on_bytes, deadline or self.deadline())
 
     def _copy_response_body(
-        self, part: FilePart, into: BinaryIO, on_bytes: ByteProgressCallback, deadline: Deadline
+        self, part: FilePart, into: BinaryIO, on_bytes: SizeProgressCallback, deadline: Deadline
     ) -> None:
         def attempt() -> None:
             into.seek(0)
             into.truncate()
-            on_bytes(0)
+            on_bytes(0, None)
             with self._open_response("GET", part.address, part.headers, deadline) as answer:
                 response = answer[0]
                 if response.status == 416:
                     return
+                # A coded body has another length than the file.
+                total = None if response.getheader("Content-Encoding") else response.length
                 before, budget = part.bytes_before(response), part.budget(response)
                 chunks = self._chunks(answer, deadline, part.address, before + budget)
                 for piece in part.select(chunks, before, budget):
                     into.write(piece)
-                    on_bytes(into.tell())
+                    on_bytes(into.tell(), total)
 
         self._fetch_with_retries(attempt, deadline)
 
@@ -213,7 +242,7 @@ class WebClient:
             is_large: Whether it is a model or a file of many splats, which may take an hour where
                 the user sets no time.
         """
-        default = _LARGE_FILE_SECONDS if is_large else _SECONDS
+        default = LARGE_FILE_SECONDS if is_large else _SECONDS
         return Deadline(fetch_seconds(default) if self._seconds is None else self._seconds)
 
     def _fetch_with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
@@ -261,7 +290,10 @@ class WebClient:
         sent_headers = {"User-Agent": "gsgen", **origin_headers, **headers}
         while True:
             with self._translate_failures(address, deadline):
-                connection = self._pool.take(target.origin)
+                must_be_public = target.origin not in self._allowed_origins and (
+                    target.origin.host != self._home_origin.host
+                )
+                connection = self._pool.take(target.origin, must_be_public=must_be_public)
             is_reused = connection.is_reused
             try:
                 with self._translate_failures(address, deadline):
@@ -291,13 +323,22 @@ class WebClient:
                 f"the server redirects to {location!r:.200}; expected an address of {allowed}",
                 where=address,
             )
-        if target.origin not in self._allowed_origins:
+        if not self._may_follow(target):
             raise AddressNotAllowed(
                 f"the server redirects to {redirected_address!r:.200}; expected an address of {allowed}",
                 where=address,
-                hint=f"Trust it with --allow-origin {target.origin}.",
+                hint=f"If you trust it, name that address, or a tileset with --allow-origin {target.origin}.",
             )
         return target, redirected_address
+
+    def _may_follow(self, target: WebAddress) -> bool:
+        """Return whether a redirect may lead to an address; see ``allow_public_hosts``."""
+        if target.origin in self._allowed_origins:
+            return True
+        is_encrypted = target.origin.scheme == "https"
+        is_home_host = target.origin.host == self._home_origin.host
+        is_home_scheme = target.origin.scheme == self._home_origin.scheme
+        return self._allow_public_hosts and (is_encrypted or (is_home_host and is_home_scheme))
 
     def _chunks(
         self,
@@ -328,6 +369,10 @@ class WebClient:
         )
         try:
             yield
+        except NotPublicHostError as error:
+            raise AddressNotAllowed(
+                f"the server redirects to {error}; expected a public host", where=address
+            ) from error
         except TimeoutError as error:
             if deadline.remaining <= 0:
                 text = f"the file did not come within {deadline.seconds:g} s"

@@ -37,22 +37,28 @@ class WebConnection(http.client.HTTPConnection):
         origin: Of the server.
         wire: The socket.
         is_reused: Whether it has carried a request before.
+        must_be_public: Whether it may lead to public addresses alone.
     """
 
     response_class = _Response
     wire: DeadlineSocket
 
-    def __init__(self, origin: Origin) -> None:
+    def __init__(self, origin: Origin, *, must_be_public: bool = False) -> None:
         super().__init__(origin.host, origin.port)
-        self.origin, self.is_reused = origin, False
+        self.origin, self.is_reused, self.must_be_public = origin, False, must_be_public
         if origin.scheme == "https":
             self.default_port = 443  # the Host header leaves it out
 
     def open(self, deadline: Deadline) -> None:
         """Connect to the server."""
         origin = self.origin
-        is_encrypted = origin.scheme == "https"
-        self.sock = self.wire = connect(origin.host, origin.port, deadline, encrypted=is_encrypted)
+        self.sock = self.wire = connect(
+            origin.host,
+            origin.port,
+            deadline,
+            encrypted=origin.scheme == "https",
+            must_be_public=self.must_be_public,
+        )
 
     def ask(
         self, method: str, target: str, headers: dict[str, str], deadline: Deadline
@@ -98,8 +104,12 @@ class ConnectionPool:
         self._busy_connections: set[WebConnection] = set()
         self.is_closed = False
 
-    def take(self, origin: Origin) -> WebConnection:
+    def take(self, origin: Origin, *, must_be_public: bool = False) -> WebConnection:
         """Return an idle connection to an origin, or a new one.
+
+        Args:
+            origin: The origin.
+            must_be_public: Whether a new connection may lead to public addresses alone.
 
         Raises:
             OSError: The pool is closed.
@@ -116,7 +126,7 @@ class ConnectionPool:
                 None,
             )
             if connection is None:
-                connection = WebConnection(origin)
+                connection = WebConnection(origin, must_be_public=must_be_public)
             else:
                 self._idle_connections.remove(connection)
             self._busy_connections.add(connection)

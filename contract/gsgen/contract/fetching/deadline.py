@@ -1,8 +1,16 @@
 """Deadlines of web requests, and sockets whose every operation ends at a deadline."""
 
-__all__ = ["FETCH_SECONDS", "Deadline", "DeadlineSocket", "connect", "fetch_seconds"]
+__all__ = [
+    "FETCH_SECONDS",
+    "Deadline",
+    "DeadlineSocket",
+    "NotPublicHostError",
+    "connect",
+    "fetch_seconds",
+]
 
 import io
+import ipaddress
 import math
 import os
 import socket
@@ -133,14 +141,34 @@ class _SocketReader(io.RawIOBase):
         return self._source.recv_into(buffer)
 
 
-def connect(host: str, port: int, deadline: Deadline, *, encrypted: bool) -> DeadlineSocket:
+@final
+class NotPublicHostError(Exception):
+    """Raised if a host that has to be public has an address in a private network."""
+
+
+def connect(
+    host: str, port: int, deadline: Deadline, *, encrypted: bool, must_be_public: bool = False
+) -> DeadlineSocket:
     """Connect to a web server: look up its name, connect, and shake hands, before a deadline.
 
+    Args:
+        host: Its name or number.
+        port: Its port.
+        deadline: Of all steps together.
+        encrypted: Whether the connection is one of TLS.
+        must_be_public: Whether all addresses of the host must be public.
+
     Raises:
+        NotPublicHostError: An address of the host is not public.
         OSError: It cannot be reached; ``TimeoutError`` after the deadline.
         ValueError: The host is not a host name.
     """
     endpoints = _look_up_addresses(host, port, deadline)
+    if must_be_public:
+        # The addresses that are checked are those that are connected to: no second look-up.
+        for _, address in endpoints:
+            if not _is_public(str(address[0])):
+                raise NotPublicHostError(f"{host}, which is {address[0]}")
     failure: OSError = OSError(f"{host} has no address")
     for index, (family, address) in enumerate(endpoints):
         connection = socket.socket(family, socket.SOCK_STREAM)
@@ -159,6 +187,27 @@ def connect(host: str, port: int, deadline: Deadline, *, encrypted: bool) -> Dea
             connection.close()
             raise
     raise failure
+
+
+_TRANSLATED_NETWORK: Final = ipaddress.IPv6Network("64:ff9b::/96")
+"""Addresses of networks without IPv4, each of which stands for one of IPv4 (NAT64)."""
+
+
+def _is_public(number: str) -> bool:
+    """Return whether an address of the Internet Protocol is reached over the public network."""
+    address = ipaddress.ip_address(number.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.sixtofour is not None or address.teredo is not None:
+            return False  # tunnels, which may end in a private network
+        is_translated = address in _TRANSLATED_NETWORK
+        inner_address = (
+            ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
+            if is_translated
+            else address.ipv4_mapped
+        )
+        if inner_address is not None:
+            return _is_public(str(inner_address))
+    return address.is_global and not address.is_multicast
 
 
 _Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]

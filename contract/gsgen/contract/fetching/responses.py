@@ -12,6 +12,9 @@ from typing import Final, final
 from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, ServerUnavailable
 
 _NOT_FOUND_STATUSES: Final = (404, 410)
+_REFUSED_STATUSES: Final = (401, 403)
+_NOT_FOUND_HINT: Final = "Check the address: the server has no such file."
+_REFUSED_HINT: Final = "The file is not public, or its link has expired: ask for another link."
 _TRANSIENT_STATUSES: Final = (429, 500, 502, 503, 504)
 _MAX_RETRY_AFTER_DIGITS: Final = 15  # of a Retry-After
 
@@ -89,12 +92,13 @@ def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> No
     if status == 200 or (is_ranged and status in (206, 416)):
         return
     if status in _NOT_FOUND_STATUSES:
-        raise FileMissing(f"the server answers {status}", where=address)
+        raise FileMissing(f"the server answers {status}", where=address, hint=_NOT_FOUND_HINT)
     wait = _retry_after_seconds(response.getheader("Retry-After", ""))
     suffix = f", and asks to wait {wait:,.0f} s" if wait else ""
     raise ServerUnavailable(
         f"the server answers {status}{suffix}",
         where=address,
+        hint=_REFUSED_HINT if status in _REFUSED_STATUSES else "",
         is_transient=status in _TRANSIENT_STATUSES,
         retry_after=wait,
     )

@@ -9,6 +9,7 @@ from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.file_kinds.recognition import kind_of_file
+from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.runtime.camera_files.camera_lists import (
     is_camera_path,
     is_gsgen_camera,
@@ -57,15 +58,16 @@ def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = No
     """Read the cameras of a file or a data set; the format is recognised by the content.
 
     Args:
-        path: A file, or the folder of a data set or of a COLMAP model.
+        path: A file or its address, or the folder of a data set or of a COLMAP model.
         size: Width and height, in pixels, of cameras for which neither the file nor a picture
             beside it has a size.
 
     Raises:
         ConfigInvalid: The file cannot be read, or its format is not supported.
         SceneInvalid: A camera's numbers are invalid.
+        InputUnreadable: The file at an address cannot be had.
     """
-    location = Path(path)
+    location = local_file(path)
     if location.is_dir():
         return _open_folder(location, size)
     try:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -28,7 +29,7 @@ def open_source(
     """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
     Args:
-        path: The file.
+        path: The file, or its address.
         provider: ONNX Runtime's execution provider for a generator, and for those of neural tiles.
         sizes: Symbol → size of an open dimension of a generator.
         stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
@@ -39,7 +40,10 @@ def open_source(
         ModelUnreadable: The file is not an ONNX model.
         SceneInvalid: The model is not a generator.
         SizeUnknown: A dimension has no size.
+        InputUnreadable: The file at an address cannot be had.
     """
+    if not names_tileset(path):
+        path = local_file(path)
     if files := sequence_files(path):
         return SequenceSource(path, files) if len(files) > 1 else StillFrameSource(files[0])
     if path.suffix.lower() == ".onnx":

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import BinaryIO, final
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 from gsgen.contract.fetching.client import WebClient
 from gsgen.contract.fetching.deadline import Deadline
@@ -25,7 +25,8 @@ class HttpStore(Store):
     """Reads files below a web address, as :class:`~gsgen.contract.fetching.client.WebClient` does.
 
     Args:
-        address: Of a file in the folder.
+        address: Of a file in the folder. Its query, such as a signature, is sent for this file
+            alone: other files have addresses without one.
         timeout: Seconds for each file; by default those of the client.
         allow_origins: Origins such as ``https://cdn.example.com`` that redirects may lead to.
 
@@ -41,7 +42,8 @@ class HttpStore(Store):
             self._client = WebClient(address, seconds=timeout, allow_origins=allow_origins)
         self._deadline: Deadline | None = None
         parts = urlsplit(address)
-        folder = parts.path.rpartition("/")[0]
+        folder, _, name = parts.path.rpartition("/")
+        self._queries = {unquote(name): f"?{parts.query}"} if parts.query else {}
         self.name = f"{parts.scheme}://{parts.netloc}{folder}"
 
     def size(self, path: str) -> int:
@@ -111,7 +113,8 @@ class HttpStore(Store):
         return view
 
     def _url_of_path(self, path: str) -> str:
-        return self._full_location(quote(path.encode("utf-8", "surrogatepass")))
+        quoted_path = quote(path.encode("utf-8", "surrogatepass"))
+        return self._full_location(quoted_path) + self._queries.get(path, "")
 
     def _full_location(self, path: str) -> str:
         return f"{self.name}/{path}"

@@ -8,6 +8,7 @@ from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from gsgen.contract.file_kinds.recognition import kind_of_file
+from gsgen.contract.inputs.addresses import address_of as input_address
 from gsgen.formats.tileset_paths import INDEX_FILE
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.folder_store import FolderStore
@@ -61,9 +62,6 @@ def _refuse_other_kind(path: Path, *, allow_content: bool) -> None:
 
 
 def address_of(source: str | Path) -> str:
-    """Return a URL with ``://``, which ``Path`` shortened to ``:/``; empty for a local path."""
-    text = str(source)
-    for url_scheme in ("http", "https"):
-        if text.lower().startswith(f"{url_scheme}:/"):
-            return f"{url_scheme}://{text[len(url_scheme) + 1 :].lstrip('/')}"
-    return ""
+    """Return the http or https address that a text or path stands for; empty for other paths."""
+    address = input_address(source)
+    return address if address.startswith(("http://", "https://")) else ""

@@ -21,11 +21,12 @@ FilePath = str | os.PathLike[str]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FileContent(os.PathLike[str]):
-    """The content of a file in memory, such as a member of an archive, for readers of files.
+    """The content of a file without a path, such as a member of an archive, for readers of files.
 
     Attributes:
-        name: The name in error messages, whose suffix counts: that of the archive, and the member.
-        data: The bytes, in anonymous memory.
+        name: The name in error messages, whose suffix counts: that of the archive, and the member,
+            or an address.
+        data: The bytes, in anonymous memory or of a file that was removed.
     """
 
     name: str

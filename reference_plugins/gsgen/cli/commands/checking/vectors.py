@@ -56,12 +56,17 @@ def vectors(
     `gsgen validate` runs them again (rule GM012). Exits 0 if they were written, 2 if they cannot
     be written or an option is wrong, 4 if MODEL is not an ONNX model.
     """
+    from gsgen.cli.fetched_inputs import is_copy
     from gsgen.cli.progress import clear, progress
+    from gsgen.contract.errors import ConfigInvalid
     from gsgen.contract.rules.catalogue import installed_rules
     from gsgen.contract.tools.test_vector_files import record_vectors
     from gsgen.contract.validation.settings_from_options import make_settings
 
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
+    if into is None and is_copy(model):
+        hint = "Add --into FOLDER."
+        raise ConfigInvalid("is needed for a model at an address", where="--into", hint=hint)
     folder = into or model.with_name(f"{model.stem}-vectors")
     try:
         recorded_vectors = record_vectors(

@@ -1,0 +1,94 @@
+"""Unpacks the one model or mesh of a ZIP archive, with the files beside it."""
+
+__all__ = ["MAX_INFLATION", "unpack_into"]
+
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from gsgen.contract.errors import InputUnreadable
+from gsgen.contract.file_kinds.kind import DOWNLOAD_AGAIN_HINT
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of, kind_of_file
+from gsgen.contract.inputs.addresses import is_plain_location
+
+MAX_INFLATION: Final = 1040
+"""The most bytes that deflate unpacks from one."""
+
+_UNPACKED_KINDS: Final = ("onnx", "glb", "gltf", "obj", "stl", "ply-mesh")
+_UNPACKED_SUFFIXES: Final = (".onnx", ".obj", ".stl", ".glb", ".gltf", ".ply")
+_MAX_UNPACKED_BYTES: Final = 8 << 30
+_MAX_MEMBERS: Final = 4096
+_CHUNK_BYTES: Final = 1 << 20
+_ARCHIVE_FAULTS: Final = (
+    zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError,
+    FileExistsError, NotADirectoryError, IsADirectoryError,
+)  # fmt: skip
+
+
+def unpack_into(new_folder: Callable[[], Path], archive: Path) -> Path | None:
+    """Unpack an archive of one model or mesh into a new folder, and return the file's path.
+
+    Members whose names lead out of the folder, and hidden ones, stay packed.
+
+    Returns:
+        None if the archive holds other files than one model or mesh, such as splats, which
+        ``gsgen.formats`` reads from the archive.
+
+    Raises:
+        InputUnreadable: The archive is damaged, or unpacks to too much.
+    """
+    kind = kind_of_file(archive)
+    if kind is None or kind.name != "zip":
+        return None
+    try:
+        with zipfile.ZipFile(archive) as members:
+            entries = [entry for entry in members.infolist() if _is_content(entry)]
+            names = [entry.filename for entry in entries if _is_unpacked(members, entry)]
+            if len(names) != 1 or len(entries) > _MAX_MEMBERS:
+                return None
+            _require_plausible_size(archive, entries)
+            folder = new_folder()
+            for entry in entries:
+                _unpack(members, entry, folder / entry.filename)
+    except _ARCHIVE_FAULTS as error:
+        raise InputUnreadable(
+            f"the archive cannot be unpacked: {error}", where=str(archive), hint=DOWNLOAD_AGAIN_HINT
+        ) from error
+    return folder / names[0]
+
+
+def _is_content(entry: zipfile.ZipInfo) -> bool:
+    parts = entry.filename.split("/")
+    is_hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
+    return not (entry.is_dir() or is_hidden) and is_plain_location(entry.filename)
+
+
+def _is_unpacked(members: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:
+    """Return whether a member is a model or a mesh, by its first bytes and its suffix."""
+    if not entry.filename.lower().endswith(_UNPACKED_SUFFIXES):
+        return False
+    with members.open(entry) as stream:
+        kind = kind_of(stream.read(RECOGNITION_BYTES))
+    # Binary STL files have no signature.
+    return kind.name in _UNPACKED_KINDS if kind else entry.filename.lower().endswith(".stl")
+
+
+def _require_plausible_size(archive: Path, entries: list[zipfile.ZipInfo]) -> None:
+    size = sum(entry.file_size for entry in entries)
+    limit = min(_MAX_UNPACKED_BYTES, archive.stat().st_size * MAX_INFLATION)
+    if size > limit:
+        raise InputUnreadable(
+            f"the archive unpacks to {size:,} bytes, expected {limit:,} or fewer",
+            where=str(archive),
+            hint="If you trust it, unpack it, and name the file.",
+        )
+
+
+def _unpack(members: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> None:
+    """Unpack a member; ``zipfile`` stops at the size that was checked."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with members.open(entry) as stream, path.open("xb") as file:
+        while piece := stream.read(_CHUNK_BYTES):
+            file.write(piece)

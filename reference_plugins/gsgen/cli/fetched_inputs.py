@@ -1,0 +1,162 @@
+"""Lets the files that a command reads be addresses, or ZIP archives of one model or mesh.
+
+A command gets the paths of temporary copies, which texts name by the addresses.
+"""
+
+__all__ = ["OUTPUT_PARAMETERS", "is_copy", "with_fetched_inputs"]
+
+import functools
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from gsgen.contract.errors import ConfigInvalid
+
+OUTPUT_PARAMETERS: Final = frozenset(
+    [
+        "dump", "folder", "histograms", "html", "into", "log", "output", "pages", "pictures",
+        "plot", "report", "target",
+    ]
+)  # fmt: skip
+"""Parameters that name what a command writes, or a folder that it serves."""
+
+# Texts that hold the path of a file: SOURCE, FILE#CAMERA, [NAME=]FILE.
+_TEXT_PARAMETERS: Final = ("camera", "inputs", "pose", "sources", "tileset")
+_TILESET_PARAMETERS: Final = ("paths", "scene", "scenes", "sources", "tileset")
+_ADDRESS_TEXT: Final = re.compile(
+    r"(?P<before>[\w.]*=)?(?P<address>[A-Za-z][A-Za-z0-9+.-]+:/.*?)(?P<after>#[^#/]*)?"
+)
+_ARCHIVE_SUFFIX: Final = ".zip"
+_MEGABYTE: Final = 1 << 20
+
+
+def with_fetched_inputs(command: Any) -> Any:
+    """Let a click command and its subcommands fetch the inputs that are addresses.
+
+    Returns:
+        The same command.
+    """
+    for subcommand in getattr(command, "commands", {}).values():
+        with_fetched_inputs(subcommand)
+    parameters = {parameter.name: _is_path(parameter) for parameter in command.params}
+    if command.callback is not None and not hasattr(command, "commands"):
+        command.callback = _fetching(command.callback, parameters)
+    return command
+
+
+def _is_path(parameter: Any) -> bool:
+    return hasattr(parameter.type, "resolve_path")  # only click's type of paths has it
+
+
+def _fetching(run: Callable[..., Any], parameters: dict[str, bool]) -> Callable[..., Any]:
+    """Return a command's function that fetches its inputs before it runs."""
+
+    @functools.wraps(run)
+    def fetch_and_run(**values: Any) -> Any:
+        for name, value in values.items():
+            if value and (parameters.get(name) or name in _TEXT_PARAMETERS):
+                values[name] = _map_texts(value, functools.partial(_local_text, name))
+        return run(**values)
+
+    return fetch_and_run
+
+
+def _map_texts(value: Any, convert: Callable[[str], str]) -> Any:
+    if isinstance(value, list | tuple):
+        return type(value)(_map_texts(item, convert) for item in value)
+    return convert(os.fspath(value)) if isinstance(value, str | os.PathLike) else value
+
+
+def _local_text(parameter: str, text: str) -> str:
+    """Return a parameter's text with the path of a copy in place of an address or archive."""
+    match = _ADDRESS_TEXT.fullmatch(text)
+    if match is None:
+        is_archive = text.lower().endswith(_ARCHIVE_SUFFIX) and parameter not in OUTPUT_PARAMETERS
+        return _unpacked(text) if is_archive else text
+    from gsgen.contract.inputs.addresses import address_of
+
+    has_name = parameter in _TEXT_PARAMETERS
+    address = address_of(match["address"] if has_name else text)
+    if not address:
+        return text
+    if parameter in OUTPUT_PARAMETERS:
+        raise ConfigInvalid("is an address, expected a path on this machine", where=text)
+    if parameter in _TILESET_PARAMETERS:
+        from gsgen.formats.tileset_paths import names_tileset
+
+        if names_tileset(address):
+            return _without_slashes_in_query(address)
+    path = str(_fetched(address))
+    return f"{match['before'] or ''}{path}{match['after'] or ''}" if has_name else path
+
+
+_copies: Final[dict[str, Path]] = {}
+"""Address → its copy, which the end of a command removes."""
+
+
+_copy_folders: Final[list[Path]] = []
+
+
+def _fetched(address: str) -> Path:
+    path = _copies.get(address)
+    if path is None or not path.exists():
+        path = _copies[address] = _new_copy(address)
+    return path
+
+
+def _new_copy(address: str) -> Path:
+    from gsgen.cli.progress import clear
+    from gsgen.cli.text_streams import show_path_as
+    from gsgen.contract.inputs.addresses import folder_of
+    from gsgen.contract.model.fetched_inputs import local_file
+
+    try:
+        path = local_file(address, on_bytes=_show_progress)
+    finally:
+        clear()
+    plain_address, has_query, _ = address.partition("?")
+    show_path_as(str(path), plain_address + ("?…" if has_query else ""))
+    show_path_as(f"{path.parent}{os.sep}", folder_of(address))
+    _copy_folders.append(path.parent)
+    return _without_archive(path)
+
+
+def _unpacked(archive: str) -> str:
+    return str(_without_archive(Path(archive)))
+
+
+def _without_archive(path: Path) -> Path:
+    """Return the file that the ZIP archive of one model or mesh holds; else the path itself."""
+    from gsgen.cli.text_streams import show_path_as, with_shown_names
+    from gsgen.contract.model.fetched_inputs import local_file
+
+    content = local_file(path)
+    if content == path:
+        return path
+    # The name within the archive follows; the copy of an archive is shown by its address.
+    folder = next(parent for parent in content.parents if parent.name.endswith(".part"))
+    show_path_as(f"{folder}{os.sep}", with_shown_names(f"{path}{os.sep}"))
+    _copy_folders.append(folder)
+    return content
+
+
+def is_copy(path: Path) -> bool:
+    """Return whether a path is that of a temporary copy, beside which nothing can be kept."""
+    return any(path.is_relative_to(folder) for folder in _copy_folders)
+
+
+def _show_progress(address: str, received: int, total: int | None) -> None:
+    from gsgen.cli.progress import progress
+
+    name = address.partition("?")[0].rpartition("/")[2]
+    megabytes, whole = received // _MEGABYTE, -(-(total or 0) // _MEGABYTE)
+    count = f"{megabytes} of {whole} MB" if total else f"{megabytes} MB"
+    progress(f"fetching {name}: {count}")
+
+
+def _without_slashes_in_query(address: str) -> str:
+    """Encode slashes in the query of an address, of which ``Path`` would merge two into one."""
+    plain_address, mark, query = address.partition("?")
+    return plain_address + mark + query.replace("/", "%2F")
