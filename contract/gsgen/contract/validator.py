@@ -3,8 +3,9 @@
 __all__ = ["validate"]
 
 import os
+from pathlib import Path
 
-from gsgen.contract.model.fetched_inputs import local_file
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.engine import Progress, ignore_progress, validate_with
 from gsgen.contract.validation.report import Report
@@ -36,4 +37,13 @@ def validate(
     if settings.only:
         registry = registry.with_needs(settings.only)
     models = registry.of_scope(tilesets=False)
-    return validate_with(models, local_file(path), settings, progress=progress)
+    return validate_with(models, _on_disk(Path(path)), settings, progress=progress)
+
+
+def _on_disk(path: Path) -> Path:
+    """Return the file of a path, address or archive; a file named as a model is one."""
+    if path.suffix.lower() == MODEL_SUFFIX and path.exists():
+        return path
+    from gsgen.contract.model.fetched_inputs import local_file
+
+    return local_file(path)

@@ -2,9 +2,10 @@
 
 __all__ = [
     "PASS_THROUGH_SETTINGS", "CommandEndedEarly", "build", "click_command", "refusing", "runnable",
-    "usable_command",
+    "usable_command", "with_fetched_inputs",
 ]  # fmt: skip
 
+import functools
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +15,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_table import Command, find_command, panels
-from gsgen.cli.fetched_inputs import with_fetched_inputs
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract._entry_points import (
     Extension,
@@ -151,6 +151,39 @@ def _click_command(
         raise TypeError(f"{short_repr(loaded)}, expected a function or a typer.Typer")
     app.command(name, cls=cls, help=help, context_settings=settings)(loaded)
     return with_fetched_inputs(typer.main.get_group(app).commands[name])
+
+
+def with_fetched_inputs(command: Any) -> Any:
+    """Let a click command and its subcommands fetch the inputs that are addresses; return it."""
+    for subcommand in getattr(command, "commands", {}).values():
+        with_fetched_inputs(subcommand)
+    if command.callback is not None and not hasattr(command, "commands"):
+        # Only click's type of paths has this attribute.
+        paths = {item.name for item in command.params if hasattr(item.type, "resolve_path")}
+        command.callback = _fetching(command.callback, paths)
+    return command
+
+
+def _fetching(run: Callable[..., Any], path_parameters: set[str]) -> Callable[..., Any]:
+    """Return a command's function that fetches its inputs before it runs."""
+
+    @functools.wraps(run)
+    def fetch_and_run(**values: Any) -> Any:
+        if any(map(_may_be_remote, values.values())):
+            from gsgen.cli.fetched_inputs import fetch_inputs
+
+            values = fetch_inputs(values, path_parameters)
+        return run(**values)
+
+    return fetch_and_run
+
+
+def _may_be_remote(value: Any) -> bool:
+    """Return whether a text, or one of several, may be an address or the path of an archive."""
+    if isinstance(value, list | tuple):
+        return any(map(_may_be_remote, value))
+    is_text = isinstance(value, str | os.PathLike)
+    return is_text and (":/" in os.fspath(value) or os.fspath(value).lower().endswith(".zip"))
 
 
 def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:

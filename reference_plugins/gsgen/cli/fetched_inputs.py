@@ -1,9 +1,9 @@
-"""Lets the files that a command reads be addresses, or ZIP archives of one model or mesh.
+"""Fetches the files that a command reads, which may be addresses, or ZIP archives of one model or mesh.
 
 A command gets the paths of temporary copies, which texts name by the addresses.
 """
 
-__all__ = ["OUTPUT_PARAMETERS", "is_copy", "with_fetched_inputs"]
+__all__ = ["OUTPUT_PARAMETERS", "fetch_inputs", "is_copy"]
 
 import functools
 import os
@@ -32,41 +32,29 @@ _ARCHIVE_SUFFIX: Final = ".zip"
 _MEGABYTE: Final = 1 << 20
 
 
-def with_fetched_inputs(command: Any) -> Any:
-    """Let a click command and its subcommands fetch the inputs that are addresses.
+def fetch_inputs(values: dict[str, Any], path_parameters: set[str]) -> dict[str, Any]:
+    """Return the arguments of a command with paths of copies in place of addresses and archives.
 
-    Returns:
-        The same command.
+    Args:
+        values: Parameter → its value.
+        path_parameters: Parameters that are paths.
+
+    Raises:
+        InputUnreadable: A file cannot be had; the subclass says why.
+        ConfigInvalid: An output is an address.
     """
-    for subcommand in getattr(command, "commands", {}).values():
-        with_fetched_inputs(subcommand)
-    parameters = {parameter.name: _is_path(parameter) for parameter in command.params}
-    if command.callback is not None and not hasattr(command, "commands"):
-        command.callback = _fetching(command.callback, parameters)
-    return command
-
-
-def _is_path(parameter: Any) -> bool:
-    return hasattr(parameter.type, "resolve_path")  # only click's type of paths has it
-
-
-def _fetching(run: Callable[..., Any], parameters: dict[str, bool]) -> Callable[..., Any]:
-    """Return a command's function that fetches its inputs before it runs."""
-
-    @functools.wraps(run)
-    def fetch_and_run(**values: Any) -> Any:
-        for name, value in values.items():
-            if value and (parameters.get(name) or name in _TEXT_PARAMETERS):
-                values[name] = _map_texts(value, functools.partial(_local_text, name))
-        return run(**values)
-
-    return fetch_and_run
+    return {
+        name: _map_texts(value, functools.partial(_local_text, name))
+        if name in path_parameters or name in _TEXT_PARAMETERS
+        else value
+        for name, value in values.items()
+    }
 
 
 def _map_texts(value: Any, convert: Callable[[str], str]) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(_map_texts(item, convert) for item in value)
-    return convert(os.fspath(value)) if isinstance(value, str | os.PathLike) else value
+    return convert(os.fspath(value)) if isinstance(value, str | os.PathLike) and value else value
 
 
 def _local_text(parameter: str, text: str) -> str:

@@ -17,13 +17,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, final
-from urllib.parse import urlsplit
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, kind_of
-from gsgen.contract.inputs.addresses import address_of
-from gsgen.contract.inputs.archived_file import MAX_INFLATION
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
-from gsgen.formats.shared.bytes import MAX_BYTES
+from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import ArchiveDamaged, FileUnreadable, NotSupported, SizeExceeded
 from gsgen.formats.shared.files import FileContent, FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
@@ -121,7 +118,7 @@ def resolve_input(path: FilePath, *, max_bytes: int = MAX_BYTES) -> FilePath:
         FormatError: The path cannot be read, or holds no file of splats, or several.
         InputUnreadable: The file at an address cannot be had.
     """
-    address = "" if isinstance(path, FileContent) else address_of(path)
+    address = _address_of(path)
     with naming(address or path):
         file: FilePath = _standard_input() if os.fspath(path) == STANDARD_INPUT else path
         if address:
@@ -144,11 +141,19 @@ def _standard_input() -> FileContent:
     return _content_in_memory("standard input", content)
 
 
+def _address_of(path: FilePath) -> str:
+    if isinstance(path, FileContent) or ":/" not in os.fspath(path):
+        return ""
+    from gsgen.contract.inputs.addresses import address_of
+
+    return address_of(path)
+
+
 def _fetched_file(address: str) -> FilePath:
     """Return the file at an address: mapped, or on disk where it names files beside it."""
     from gsgen.contract.inputs.local_copies import fetch, kept_folder, on_disk
 
-    if PurePosixPath(urlsplit(address).path).name in (META_FILE, STREAMED_META):
+    if address.partition("?")[0].rpartition("/")[2] in (META_FILE, STREAMED_META):
         return fetch(address, kept_folder())
     with on_disk(address) as path, open_file(path) as file:
         name = address.partition("?")[0]  # the suffix counts

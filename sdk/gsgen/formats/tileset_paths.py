@@ -9,7 +9,6 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of, kind_of_file
-from gsgen.contract.inputs.addresses import address_of
 from gsgen.formats.codecs import codec_named
 
 INDEX_FILE: Final = "tileset.json"
@@ -29,10 +28,13 @@ def names_tileset(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputUnreadable: An address cannot be read.
     """
-    address = address_of(path)
-    if address:
-        return _is_tileset_address(address)
     text = os.fspath(path)
+    if ":/" in text:
+        from gsgen.contract.inputs.addresses import address_of
+
+        address = address_of(text)
+        if address:
+            return _is_tileset_address(address)
     name = Path(text).name.lower()
     if name.endswith(_ARCHIVE_SUFFIX):
         return True
@@ -49,7 +51,10 @@ def names_tileset_or_content(path: Path) -> bool:
 @cache
 def _is_tileset_address(address: str) -> bool:
     """Return whether a web address is that of a tileset, by its name, or by its first bytes."""
-    parts = urlsplit(address)
+    try:
+        parts = urlsplit(address)
+    except ValueError:  # fetching it reports the fault
+        return False
     if parts.scheme not in _STREAMED_SCHEMES:
         return False
     name = parts.path.rpartition("/")[2].lower()

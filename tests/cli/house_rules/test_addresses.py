@@ -49,7 +49,7 @@ COMMANDS: dict[str, Callable[[str, str, str, Path], Words]] = {
         "export", "html", splats, "-o", out / "a.html",
     ],
     "bake": lambda splats, model, cameras, out: ["bake", model, "-o", out / "a.ply"],
-    "rewrite": lambda splats, model, cameras, out: ["rewrite", model],
+    "rewrite": lambda splats, model, cameras, out: ["rewrite", model, "--dry-run"],
     "vectors": lambda splats, model, cameras, out: ["vectors", model, "--into", out / "v"],
     "tiles build": lambda splats, model, cameras, out: [
         "tiles", "build", splats, "-o", out / "t", "--engine", "serial",

@@ -6,10 +6,10 @@ import os
 import re
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Final
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 # Two letters or more: one is a drive of Windows. ``Path`` removes the second slash.
-_ADDRESS_PATTERN: Final = re.compile(r"([a-z][a-z0-9+.-]+):/+(?=[^/])", re.IGNORECASE)
+_ADDRESS_PATTERN: Final = re.compile(r"([a-z][a-z0-9+.-]+):(?=//|/[^/])/{1,3}", re.IGNORECASE)
 _UNSAFE_CHARACTERS: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _MAX_NAME_LENGTH: Final = 120
 
@@ -29,15 +29,19 @@ def address_of(path: str | os.PathLike[str]) -> str:
 
 def file_name(address: str) -> str:
     """Return a name for a copy of a file: that in its address, of letters that every system has."""
-    name = unquote(urlsplit(address).path).rstrip("/").rpartition("/")[2]
+    path = _without_query(address).partition("://")[2].partition("/")[2]
+    name = unquote(path).rstrip("/").rpartition("/")[2]
     safe_name = _UNSAFE_CHARACTERS.sub("_", name).lstrip(".")[-_MAX_NAME_LENGTH:]
     return safe_name or "file"
 
 
 def folder_of(address: str) -> str:
     """Return the address of the folder of a file, with a slash at its end and without a query."""
-    parts = urlsplit(address)
-    return f"{parts.scheme}://{parts.netloc}{parts.path.rpartition('/')[0]}/"
+    return _without_query(address).rpartition("/")[0] + "/"
+
+
+def _without_query(address: str) -> str:
+    return address.partition("?")[0].partition("#")[0]
 
 
 def is_plain_location(location: str) -> bool:

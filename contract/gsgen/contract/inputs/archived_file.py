@@ -1,6 +1,6 @@
 """Unpacks the one model or mesh of a ZIP archive, with the files beside it."""
 
-__all__ = ["MAX_INFLATION", "unpack_into"]
+__all__ = ["unpack_into"]
 
 import zipfile
 import zlib
@@ -13,12 +13,9 @@ from gsgen.contract.file_kinds.kind import DOWNLOAD_AGAIN_HINT
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of, kind_of_file
 from gsgen.contract.inputs.addresses import is_plain_location
 
-MAX_INFLATION: Final = 1040
-"""The most bytes that deflate unpacks from one."""
-
 _UNPACKED_KINDS: Final = ("onnx", "glb", "gltf", "obj", "stl", "ply-mesh")
 _UNPACKED_SUFFIXES: Final = (".onnx", ".obj", ".stl", ".glb", ".gltf", ".ply")
-_MAX_UNPACKED_BYTES: Final = 8 << 30
+_MAX_UNPACKED_BYTES: Final = 4 << 30
 _MAX_MEMBERS: Final = 4096
 _CHUNK_BYTES: Final = 1 << 20
 _ARCHIVE_FAULTS: Final = (
@@ -77,10 +74,9 @@ def _is_unpacked(members: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:
 
 def _require_plausible_size(archive: Path, entries: list[zipfile.ZipInfo]) -> None:
     size = sum(entry.file_size for entry in entries)
-    limit = min(_MAX_UNPACKED_BYTES, archive.stat().st_size * MAX_INFLATION)
-    if size > limit:
+    if size > _MAX_UNPACKED_BYTES:
         raise InputUnreadable(
-            f"the archive unpacks to {size:,} bytes, expected {limit:,} or fewer",
+            f"the archive unpacks to {size:,} bytes, expected {_MAX_UNPACKED_BYTES:,} or fewer",
             where=str(archive),
             hint="If you trust it, unpack it, and name the file.",
         )

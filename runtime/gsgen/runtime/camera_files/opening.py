@@ -9,7 +9,6 @@ from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.file_kinds.recognition import kind_of_file
-from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.runtime.camera_files.camera_lists import (
     is_camera_path,
     is_gsgen_camera,
@@ -67,7 +66,11 @@ def open_cameras(path: str | os.PathLike[str], size: tuple[int, int] | None = No
         SceneInvalid: A camera's numbers are invalid.
         InputUnreadable: The file at an address cannot be had.
     """
-    location = local_file(path)
+    location = Path(path)
+    if not location.exists():
+        from gsgen.contract.model.fetched_inputs import local_file
+
+        location = local_file(path)
     if location.is_dir():
         return _open_folder(location, size)
     try:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -42,8 +41,8 @@ def open_source(
         SizeUnknown: A dimension has no size.
         InputUnreadable: The file at an address cannot be had.
     """
-    if not names_tileset(path):
-        path = local_file(path)
+    if not path.exists() or path.suffix.lower() == ".zip":
+        path = _on_disk(path)
     if files := sequence_files(path):
         return SequenceSource(path, files) if len(files) > 1 else StillFrameSource(files[0])
     if path.suffix.lower() == ".onnx":
@@ -57,3 +56,10 @@ def open_source(
             )
         return stream(path, provider)
     return MeshSource(path) if is_mesh(path) else StillFrameSource(path)
+
+
+def _on_disk(path: Path) -> Path:
+    """Return the file of an address or archive; tilesets stay addresses."""
+    from gsgen.contract.model.fetched_inputs import local_file
+
+    return path if names_tileset(path) else local_file(path)

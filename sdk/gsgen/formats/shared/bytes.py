@@ -21,6 +21,8 @@ MAX_SPLATS: Final = 2**31 - 1
 """The most splats of a file whose counts other readers store as int32."""
 MAX_BYTES: Final = 8 << 30
 """The default limit of the bytes that a compressed file may unpack to."""
+MAX_INFLATION: Final = 1040
+"""The most bytes that deflate unpacks from one."""
 
 
 @contextmanager

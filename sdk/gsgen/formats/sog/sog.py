@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.contract.inputs.archived_file import MAX_INFLATION
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import (
     FileTruncated,
     HeaderMalformed,
