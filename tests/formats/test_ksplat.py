@@ -9,6 +9,7 @@ from gsgen.formats import (
     FileTruncated,
     FormatError,
     FormatNotRecognised,
+    FormatWarning,
     HeaderMalformed,
     NotSupported,
     ValueInvalid,
@@ -166,3 +167,14 @@ def test_every_truncated_file_is_refused(tmp_path):
         file.write_bytes(content[:size])
         with pytest.raises(FileTruncated):
             read_ksplat(file)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_bytes_after_the_last_section_are_named(tmp_path, level):
+    file = tmp_path / "a.ksplat"
+    content = ksplat(scene(9, 1), level)
+    file.write_bytes(content)
+    expected = read_ksplat(file)
+    file.write_bytes(content + bytes(70))
+    with pytest.warns(FormatWarning, match="not used: 70 bytes after the last section"):
+        assert_near(read_ksplat(file), expected)

@@ -377,7 +377,7 @@ def test_a_space_of_swapped_axes_is_refused(tmp_path):
 def test_an_unknown_extension_is_warned_of(tmp_path):
     file = tmp_path / "a.spz"
     file.write_bytes(with_record(0x12345, b"abc"))
-    with pytest.warns(FormatWarning, match="extension 0x12345 is unknown and ignored"):
+    with pytest.warns(FormatWarning, match="not used: extension 0x12345"):
         read_spz(file)
     file.write_bytes(with_record(0xADBE0002, bytes(12)))
     read_spz(file)  # a camera changes nothing
@@ -447,3 +447,32 @@ def test_zstd_data_of_another_size_is_refused(size, words):
         zstd.unpack(zstd.pack(bytes(1000)), size, "the body")
     assert caught.value.expected == f"{size}"
     assert zstd.unpack(zstd.pack(bytes(1000)), 1000, "the body") == bytes(1000)
+
+
+@pytest.mark.parametrize(
+    ("version", "offset", "value", "note"),
+    [
+        *((version, 14, 0x04, "flags 0x04 of the header") for version in (1, 2, 3, 4)),
+        *((version, 14, 0x81, "flags 0x80 of the header") for version in (1, 4)),
+        *((version, 15, 0x07, "reserved bytes 07") for version in (1, 2, 3)),
+        (4, 31, 0x02, "reserved bytes 00 00 00 00 00 00 00 00 00 00 00 02"),
+    ],
+)
+def test_undefined_bits_of_a_header_are_named(tmp_path, version, offset, value, note):
+    is_long_header = version == 4
+    file = tmp_path / "a.spz"
+    write_spz(file, scene(9, 1), version=version)
+    content = file.read_bytes() if is_long_header else gzip.decompress(file.read_bytes())
+    expected = read_spz(file)
+    changed = content[:offset] + bytes([value]) + content[offset + 1 :]
+    file.write_bytes(changed if is_long_header else gzip.compress(changed))
+    with pytest.warns(FormatWarning, match=f"not used: {note}"):
+        assert_near(read_spz(file), expected)
+
+
+def test_bytes_after_the_gzip_stream_are_named(tmp_path):
+    file = tmp_path / "a.spz"
+    write_spz(file, scene(9, 1), version=3)
+    file.write_bytes(file.read_bytes() + bytes(5))
+    with pytest.warns(FormatWarning, match="not used: 5 bytes after the end of the gzip stream"):
+        read_spz(file)

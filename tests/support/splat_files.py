@@ -186,6 +186,29 @@ def sog_files(count: int = 10, bands: int = 1, seed: int = 0, width: int = 4) ->
     return {"meta.json": json.dumps(meta).encode(), **files}
 
 
+def sog_version_1(files: dict[str, bytes]) -> dict[str, bytes]:
+    """The same images as a SOG of version 1: ranges take the place of codebooks."""
+    meta = json.loads(files["meta.json"])
+    count = meta.pop("count")
+    del meta["version"]
+    ranges = {"scales": 3, "sh0": 4, "shN": 1}
+    for number, (name, width) in enumerate(ranges.items()):
+        if name not in meta:
+            continue
+        least = [-3 - number + 0.1 * channel for channel in range(width)]
+        most = [2 + number - 0.3 * channel for channel in range(width)]
+        scalar = name == "shN"
+        meta[name] = {
+            "mins": least[0] if scalar else least,
+            "maxs": most[0] if scalar else most,
+            "files": meta[name]["files"],
+        }
+    for name in meta:
+        meta[name] |= {"shape": [count, 3], "dtype": "float32"}
+    meta["quats"]["encoding"] = "quaternion_packed"
+    return files | {"meta.json": json.dumps(meta).encode()}
+
+
 def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w", method) as archive:
@@ -219,6 +242,7 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
         "sog": [
             zipped(sog_files()),
             zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED),
+            zipped(sog_version_1(sog_files())),
             written(write_sog, splats),
         ],
         "checkpoint": [*checkpoints(original).values(), *checkpoints(splats).values()],

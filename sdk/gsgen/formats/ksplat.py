@@ -5,7 +5,6 @@ sections of buckets, whose splats have positions relative to the centre of their
 """
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -23,6 +22,7 @@ from gsgen.formats.shared.bytes import (
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit_or_zero
 from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
@@ -83,7 +83,11 @@ def read_ksplat(path: FilePath, *, drop_invalid: bool = False) -> Splats:
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
-        return drawable(decode_ksplat(data), path, drop_invalid=drop_invalid)
+        splats, end = _decode_ksplat(data)
+        trailing_bytes = len(data) - end
+        text = f"{trailing_bytes:,} bytes after the last section"
+        warn_unused(path, [text] if trailing_bytes else [])
+        return drawable(splats, path, drop_invalid=drop_invalid)
 
 
 def looks_like_ksplat(head: bytes, size: int) -> bool:
@@ -96,8 +100,8 @@ def looks_like_ksplat(head: bytes, size: int) -> bool:
     return known and sections > 0 and FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES <= size
 
 
-def decode_ksplat(data: Data) -> Splats:
-    """Return the splats of the KSPLAT file ``data``, without checking their values."""
+def _decode_ksplat(data: Data) -> tuple[Splats, int]:
+    """Return the unchecked splats of the KSPLAT file ``data``, and the end of its last section."""
     require_length(data, 0, FILE_HEADER_BYTES, "header")
     fields = _FILE_HEADER.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
@@ -115,24 +119,16 @@ def decode_ksplat(data: Data) -> Splats:
     # The number of used sections (byte 8) is not read: writers leave it 0, and the others empty.
     require_length(data, FILE_HEADER_BYTES, sections * SECTION_HEADER_BYTES, "section headers")
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
-    parts = [
-        _splats(data, section, level, sh_range)
-        for section in _read_sections(
-            data, sections, FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES, level
-        )
-    ]
-    if not parts:
-        raise ValueInvalid("the file has 0 splats", where="sections", expected="at least one")
-    return join_splats(parts)
-
-
-def _read_sections(data: Data, count: int, start: int, level: int) -> Iterator[_KsplatSection]:
-    """Yield the non-empty sections of a KSPLAT file in order."""
-    for index in range(count):
+    start = FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES
+    parts: list[Splats] = []
+    for index in range(sections):
         section = _section(data, index, start, level)
         start = section.end
         if section.count:
-            yield section
+            parts.append(_splats(data, section, level, sh_range))
+    if not parts:
+        raise ValueInvalid("the file has 0 splats", where="sections", expected="at least one")
+    return join_splats(parts), start
 
 
 def _section(data: Data, index: int, start: int, level: int) -> _KsplatSection:

@@ -1,6 +1,7 @@
 import json
 import math
 import sys
+import warnings
 import zipfile
 from io import BytesIO
 
@@ -14,6 +15,7 @@ from gsgen.formats import (
     FileUnreadable,
     FormatError,
     FormatNotRecognised,
+    FormatWarning,
     HeaderMalformed,
     NotSupported,
     PropertyMissing,
@@ -23,7 +25,7 @@ from gsgen.formats import (
     read_ply,
     read_sog,
 )
-from support.splat_files import GOLDENS, assert_near, sog_files, webp, zipped
+from support.splat_files import GOLDENS, assert_near, sog_files, sog_version_1, webp, zipped
 
 
 def naive_read(files: dict[str, bytes]) -> Splats:
@@ -34,13 +36,24 @@ def naive_read(files: dict[str, bytes]) -> Splats:
         image = Image.open(BytesIO(files[name])).convert("RGBA")
         return [image.getpixel((x, y)) for y in range(image.height) for x in range(image.width)]
 
+    def numbers(group: str, values: tuple[int, ...]) -> list[float]:
+        entry = meta[group]
+        if "version" in meta:
+            return [entry["codebook"][byte] for byte in values]
+        least, most = entry["mins"], entry["maxs"]
+        if group == "shN":  # one range for all
+            least, most = [least] * 3, [most] * 3
+        ends = zip(values, least, most, strict=True)
+        return [low + (high - low) * byte / 255 for byte, low, high in ends]
+
     low, high = (pixels(name) for name in meta["means"]["files"])
     turns, sizes = pixels("quats.webp"), pixels("scales.webp")
     colors = pixels("sh0.webp")
     ends = zip(meta["means"]["mins"], meta["means"]["maxs"], strict=True)
     ends = list(ends)
     result = {"position": [], "rotation": [], "log_scale": [], "logit_opacity": [], "sh": []}
-    for row in range(meta["count"]):
+    count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
+    for row in range(count):
         recorded = []
         for axis, (a, b) in enumerate(ends):
             share = (low[row][axis] | high[row][axis] << 8) / 65535
@@ -53,27 +66,32 @@ def naive_read(files: dict[str, bytes]) -> Splats:
             quaternion[k] = (byte / 255 * 2 - 1) / math.sqrt(2)
         quaternion[largest] = math.sqrt(max(0, 1 - sum(v * v for v in quaternion)))
         result["rotation"].append(quaternion)
-        result["log_scale"].append([meta["scales"]["codebook"][b] for b in sizes[row][:3]])
-        alpha = colors[row][3] / 255
-        logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
-        result["logit_opacity"].append(logit)
-        result["sh"].append([[meta["sh0"]["codebook"][b] for b in colors[row][:3]]])
+        result["log_scale"].append(numbers("scales", sizes[row][:3]))
+        if "version" in meta:
+            alpha = colors[row][3] / 255
+            logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
+            result["logit_opacity"].append(logit)
+        else:
+            result["logit_opacity"].append(numbers("sh0", colors[row])[3])
+        result["sh"].append([numbers("sh0", colors[row])[:3]])
     if "shN" in meta:
-        sh_count = (meta["shN"]["bands"] + 1) ** 2 - 1
         centroids, label_image = meta["shN"]["files"]
         palette = Image.open(BytesIO(files[centroids])).convert("RGBA")
+        sh_count = palette.width // 64
         labels = pixels(label_image)
-        for row in range(meta["count"]):
+        for row in range(count):
             label = labels[row][0] | labels[row][1] << 8
             for j in range(sh_count):
                 texel = palette.getpixel(((label % 64) * sh_count + j, label // 64))
-                result["sh"][row].append([meta["shN"]["codebook"][b] for b in texel[:3]])
+                result["sh"][row].append(numbers("shN", texel[:3]))
     return Splats(**{name: np.array(values, np.float32) for name, values in result.items()})
 
 
 @pytest.mark.parametrize(("bands", "count"), [(0, 1), (1, 10), (2, 17), (3, 5)])
-def test_sog_agrees_with_a_slow_decoder(tmp_path, bands, count):
+@pytest.mark.parametrize("version", [1, 2])
+def test_sog_agrees_with_a_slow_decoder(tmp_path, bands, count, version):
     files = sog_files(count, bands)
+    files = sog_version_1(files) if version == 1 else files
     file = tmp_path / "a.sog"
     file.write_bytes(zipped(files))
     assert_near(read_sog(file), naive_read(files), position=1e-5, rotation=1e-6)
@@ -104,6 +122,71 @@ def test_invalid_rotation_tag_means_identity(tmp_path):
     np.testing.assert_array_equal(read_sog(file).rotation, [[1, 0, 0, 0]] * 4)
 
 
+def meta_changed(files: dict[str, bytes], path: str, value: object) -> dict[str, bytes]:
+    """The files, with a member of meta.json at a dotted path changed."""
+    meta = json.loads(files["meta.json"])
+    *groups, key = path.split(".")
+    target = meta
+    for group in groups:
+        target = target[group]
+    target[key] = value
+    return files | {"meta.json": json.dumps(meta).encode()}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "text"),
+    [
+        ("means.shape", None, "meta.json, means.shape: 'None'"),
+        ("means.shape", [0, 3], "meta.json, means.shape: '0'"),
+        ("scales.mins", [1, 2], "meta.json, scales.mins: '[1, 2]'"),
+        ("sh0.maxs", [1, 2, 3], "meta.json, sh0.maxs: '[1, 2, 3]'"),
+        ("shN.mins", "0", "meta.json, shN.mins: '0'"),
+        ("shN.maxs", None, "meta.json, shN.maxs: 'None'"),
+    ],
+)
+def test_inconsistent_meta_of_version_1_is_refused(tmp_path, path, value, text):
+    files = meta_changed(sog_version_1(sog_files()), path, value)
+    assert refusal(tmp_path, files, HeaderMalformed).startswith(text)
+
+
+def test_palette_of_another_width_is_refused_in_version_1(tmp_path):
+    files = sog_version_1(sog_files()) | {"centroids.webp": webp(np.zeros((100, 4)), 100)}
+    text = refusal(tmp_path, files, HeaderMalformed)
+    assert text.startswith("shN: an image of 100 × 1 pixels\nexpected a width of 192, 512, 960")
+
+
+def notes_of(path) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FormatWarning)
+        read_sog(path)
+    return [str(entry.message).removeprefix(f"{path}: ") for entry in caught]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    ("path", "value", "note"),
+    [
+        ("time", 0.5, "not used: key time"),
+        ("camera", {"fov": 60}, "not used: key camera"),
+        ("scales.unit", "cm", "not used: key scales.unit"),
+        ("model", "surfels", "not used: key model"),
+        ("asset", {"generator": "x"}, ""),
+        ("model", "default", ""),
+    ],
+)
+def test_key_that_is_not_used_is_named(tmp_path, version, path, value, note):
+    files = sog_version_1(sog_files()) if version == 1 else sog_files()
+    (tmp_path / "a.sog").write_bytes(zipped(files))
+    assert notes_of(tmp_path / "a.sog") == []
+    (tmp_path / "a.sog").write_bytes(zipped(meta_changed(files, path, value)))
+    assert notes_of(tmp_path / "a.sog") == ([note] if note else [])
+
+
+def test_file_of_an_archive_that_is_not_used_is_named(tmp_path):
+    (tmp_path / "a.sog").write_bytes(zipped(sog_files() | {"camera.json": b"{}"}))
+    assert notes_of(tmp_path / "a.sog") == ["not used: file 'camera.json'"]
+
+
 def refusal(tmp_path, files: dict[str, bytes], kind: type[FormatError], **meta: object) -> str:
     """The text of the error over a SOG of ``files``, with ``meta`` changed."""
     if meta:
@@ -123,7 +206,8 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
 @pytest.mark.parametrize(
     ("meta", "kind", "text"),
     [
-        ({"version": 1}, NotSupported, "meta.json: the SOG version is '1'\nexpected version 2"),
+        ({"version": 1}, HeaderMalformed, "meta.json, means.shape: 'None'\nexpected a whole num"),
+        ({"version": 3}, NotSupported, "meta.json: the SOG version is '3'\nexpected version 1 or"),
         ({"lodLevels": 3}, NotSupported, "meta.json: the file is a streamed SOG of several levels"),
         ({"count": 0}, HeaderMalformed, "meta.json, count: '0'\nexpected a whole number from 1"),
         ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),

@@ -21,6 +21,7 @@ from gsgen.formats.shared.errors import (
     ValueInvalid,
     quoted,
 )
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit_or_zero
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.spz import container, streams
@@ -105,6 +106,7 @@ def _splats_from_spz(glb: Container, extension: Json, where: str, max_bytes: int
     view = glb.item("bufferViews", extension.get("bufferView"), where)
     start, size = view_range(glb, view, where)
     frame = container.unpack(bytes(glb.data[start : start + size]), max_bytes)
+    warn_unused(where, frame.unused)
     splats = streams.decode(
         frame.streams,
         version=frame.version,

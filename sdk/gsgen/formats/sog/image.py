@@ -2,8 +2,11 @@
 
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -19,6 +22,18 @@ def most_pixels(needed: int) -> int:
     return 2 * needed + (1 << 16)
 
 
+def image_size(content: bytes, where: str) -> tuple[int, int]:
+    """Return the width and height of a WebP image, in pixels, without decoding it.
+
+    Raises:
+        ArchiveDamaged: The content is not WebP.
+        NotSupported: Pillow is not installed.
+    """
+    with _opening(content, where) as image:
+        width, height = image.size
+        return width, height
+
+
 def decode_image(content: bytes, needed: int, where: str, width: int | None = None) -> Image:
     """Decode the first ``needed`` pixels of a WebP image to red, green, blue and alpha.
 
@@ -28,13 +43,21 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
         FileTruncated: The image has too few pixels.
         HeaderMalformed: The image has far too many pixels, or another ``width``.
     """
+    with _opening(content, where) as image:
+        _require_size(image.size, needed, where, width)
+        pixels = np.asarray(image.convert("RGBA"))
+    return np.asarray(pixels.reshape(-1, 4)[:needed])
+
+
+@contextmanager
+def _opening(content: bytes, where: str) -> Iterator[Any]:
+    """Open a WebP image with Pillow; damage raises ArchiveDamaged."""
     pillow_module = _import_pillow(where)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pillow_module.DecompressionBombWarning)
             opened_image = pillow_module.open(BytesIO(content), formats=["WEBP"])
-        _require_size(opened_image.size, needed, where, width)
-        pixels = np.asarray(opened_image.convert("RGBA"))
+        yield opened_image
     # Pillow documents OSError, but damage also raises ValueError, SyntaxError and others.
     except (FileTruncated, HeaderMalformed):
         raise
@@ -45,7 +68,6 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
             expected="lossless WebP",
             hint=DOWNLOAD_HINT,
         ) from error
-    return np.asarray(pixels.reshape(-1, 4)[:needed])
 
 
 def encode_image(pixels: Image, width: int | None = None) -> bytes:

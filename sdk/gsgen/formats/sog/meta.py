@@ -2,17 +2,18 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NoReturn, final
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from gsgen.contract.file_kinds.recognition import kind_of
 from gsgen.formats.shared.bytes import MAX_SPLATS, not_recognised
 from gsgen.formats.shared.errors import FormatNotRecognised, HeaderMalformed, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.splats import SH_COUNTS
 
 META_FILE: Final = "meta.json"
 """The file that describes the images."""
@@ -29,8 +30,14 @@ CODEBOOK_SIZE: Final = 256
 MAX_PALETTE_SIZE: Final = 1 << 16
 """The most entries of the palette of harmonics."""
 
+_VERSIONS: Final = (1, 2)
+# Keys that say how a file was made, or repeat what its images say.
+_DESCRIPTIVE_KEYS: Final = frozenset({"asset", "dtype", "encoding", "quantization", "shape"})
 _EXPECTED_FILE: Final = "the meta.json of a SOG"
 _SH_BANDS = (1, 2, 3)
+_DEFAULT_MODEL = "default"
+# Group → how many images it has.
+_GROUPS: Final = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 
 
 def is_meta(path: FilePath) -> bool:
@@ -59,13 +66,18 @@ def is_streamed_meta(path: FilePath) -> bool:
 class Meta:
     """The parsed meta.json of a SOG file.
 
+    Version 1 stores bytes between ``mins`` and ``maxs``; version 2 stores indices of a codebook.
+
     Attributes:
         data: The parsed file.
         count: The number of splats.
+        version: The version of the format, 1 or 2.
     """
 
     data: dict[str, Any]
     count: int
+    version: int
+    _used_keys: set[str] = field(default_factory=set)
 
     @classmethod
     def parse(cls, content: bytes) -> "Meta":
@@ -73,7 +85,7 @@ class Meta:
 
         Raises:
             FormatNotRecognised: The content is not the JSON object of a SOG.
-            NotSupported: The version is not 2, or the file lists levels of detail.
+            NotSupported: The version is not 1 or 2, or the file lists levels of detail.
             HeaderMalformed: The number of splats is missing or invalid.
         """
         data = parse_object(content)
@@ -87,16 +99,31 @@ class Meta:
         if "means" not in data:
             raise not_recognised(content, _EXPECTED_FILE, "{")
         version = data.get("version", 1)
-        if version != 2:
+        if isinstance(version, bool) or version not in _VERSIONS:
             raise NotSupported(
-                f"the SOG version is {quoted(str(version))}", where=META_FILE, expected="version 2"
+                f"the SOG version is {quoted(str(version))}",
+                where=META_FILE,
+                expected="version 1 or 2",
             )
-        return cls(data, _require_integer(data.get("count"), f"{META_FILE}, count", MAX_SPLATS))
+        return cls(data, _splat_count(data, version), version, {"version", "count"})
 
     @property
     def antialiased(self) -> bool:
         """Whether a SOG file declares antialiased splats, by one of two keys that writers use."""
+        if self.data.get("model") in (None, ANTIALIASED, _DEFAULT_MODEL):
+            self._used_keys.add("model")
+        if isinstance(self.data.get("antialias"), bool):
+            self._used_keys.add("antialias")
         return self.data.get("model") == ANTIALIASED or self.data.get("antialias") is True
+
+    def unused(self) -> list[str]:
+        """Return the keys of a SOG's meta.json that were not asked for, except descriptive ones."""
+        keys = []
+        for name, entry in self.data.items():
+            members = [f"{name}.{key}" for key in entry] if isinstance(entry, dict) else [name]
+            keys += [name] if isinstance(entry, dict) and name not in _GROUPS else members
+        named = [key for key in keys if key.rpartition(".")[2] not in _DESCRIPTIVE_KEYS]
+        return [f"key {key}" for key in named if key not in self._used_keys]
 
     def files(self, group: str, number: int) -> list[str]:
         """Return the image file names of a quantity ``group`` in SOG's meta.json."""
@@ -107,30 +134,54 @@ class Meta:
 
     def all_files(self) -> list[str]:
         """Return the names of all images that the meta.json of a SOG file lists."""
-        numbers = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
-        groups = [group for group in numbers if self.data.get(group) is not None]
-        return [name for group in groups for name in self.files(group, numbers[group])]
+        groups = [group for group in _GROUPS if self.data.get(group) is not None]
+        return [name for group in groups for name in self.files(group, _GROUPS[group])]
 
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
         """Return the three finite numbers at key ``key`` of ``group`` in SOG's meta.json."""
         return np.asarray(self._numbers(group, key, 3), np.float64)
 
-    def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
-        """Return the 256 codebook numbers of ``group`` in SOG's meta.json."""
-        with np.errstate(over="ignore"):  # the check of values refuses infinity
-            numbers = np.array(self._numbers(group, "codebook", CODEBOOK_SIZE), np.float64)
-            return numbers.astype(np.float32)
+    def decode(self, group: str, pixels: UInt8[np.ndarray, "*n c"]) -> Float32[np.ndarray, "*n c"]:
+        """Return the numbers that the bytes of a quantity's image stand for.
 
-    def palette(self) -> tuple[int, int] | None:
-        """Return the size and degree of the SH palette of a SOG file; None without higher SH."""
-        if self.data.get("shN") is None:
-            return None
-        group = self._group("shN")
-        size = _require_integer(group.get("count"), f"{META_FILE}, shN.count", MAX_PALETTE_SIZE)
-        bands = group.get("bands")
+        Harmonics (``shN``) of version 1 have one range; other quantities have one per channel.
+        """
+        with np.errstate(over="ignore"):  # the check of values refuses infinity
+            if self.version > 1:
+                codebook = np.array(self._numbers(group, "codebook", CODEBOOK_SIZE), np.float64)
+                return np.asarray(codebook.astype(np.float32)[pixels])
+            width = 1 if group == "shN" else pixels.shape[-1]
+            least, most = (self._bounds(group, key, width) for key in ("mins", "maxs"))
+            return (least + (most - least) * (pixels / (CODEBOOK_SIZE - 1))).astype(np.float32)
+
+    def _bounds(self, group: str, key: str, width: int) -> Float64[np.ndarray, " c"]:
+        """Return the numbers at ``key``; a single one may stand without brackets."""
+        entry = self._value(group, key)
+        values = entry if isinstance(entry, list) else [entry]
+        if len(values) != width or not all(map(_is_number, values)):
+            self._raise_malformed(group, key, f"{width} finite numbers")
+        return np.array(list(map(_to_float, values)), np.float64)
+
+    @property
+    def has_palette(self) -> bool:
+        """Whether the splats have harmonics above degree 0."""
+        return self.data.get("shN") is not None
+
+    def palette(self) -> tuple[int, int]:
+        """Return the size and degree of the SH palette that a SOG file of version 2 declares."""
+        size = _require_integer(
+            self._value("shN", "count"), f"{META_FILE}, shN.count", MAX_PALETTE_SIZE
+        )
+        bands = self._value("shN", "bands")
         if bands not in _SH_BANDS:
             self._raise_malformed("shN", "bands", "1, 2 or 3")
         return size, int(bands)
+
+    def _value(self, group: str, key: str) -> Any:
+        """Return a member of a group, or None, and note that it was asked for."""
+        entry = self._group(group).get(key)
+        self._used_keys.update((group, f"{group}.{key}"))
+        return entry
 
     def _group(self, group: str) -> dict[str, Any]:
         entry = self.data.get(group)
@@ -141,18 +192,16 @@ class Meta:
         return entry
 
     def _require_list(self, group: str, key: str, number: int) -> list[Any]:
-        entries = self._group(group).get(key)
+        entries = self._value(group, key)
         if not isinstance(entries, list) or len(entries) != number:
             self._raise_malformed(group, key, f"a list of {number}")
         return entries
 
     def _numbers(self, group: str, key: str, number: int) -> list[float]:
         entries = self._require_list(group, key, number)
-        for value in entries:
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (is_number and abs(value) < math.inf):
-                self._raise_malformed(group, key, f"{number} finite numbers")
-        return [float(value) if abs(value) < 1e300 else math.inf for value in entries]
+        if not all(map(_is_number, entries)):
+            self._raise_malformed(group, key, f"{number} finite numbers")
+        return list(map(_to_float, entries))
 
     def _raise_malformed(self, group: str, key: str, expected: str) -> NoReturn:
         actual = quoted(str(self._group(group).get(key)))
@@ -176,6 +225,43 @@ def parse_object(content: bytes) -> dict[str, Any]:
         ) from error
     assert isinstance(data, dict)  # it begins with a brace
     return data
+
+
+def palette_of_image(width: int, height: int) -> tuple[int, int]:
+    """Return the size and degree of the SH palette of version 1, which its image alone says.
+
+    Raises:
+        HeaderMalformed: The image has another width than 64 entries of a degree.
+    """
+    degree_by_width = {PALETTE_WIDTH * (SH_COUNTS[degree] - 1): degree for degree in _SH_BANDS}
+    if width not in degree_by_width or height * PALETTE_WIDTH > MAX_PALETTE_SIZE:
+        widths = ", ".join(map(str, degree_by_width))
+        raise HeaderMalformed(
+            f"an image of {width} × {height} pixels",
+            where="shN",
+            expected=f"a width of {widths}, and {MAX_PALETTE_SIZE // PALETTE_WIDTH} rows at most",
+        )
+    return height * PALETTE_WIDTH, degree_by_width[width]
+
+
+def _splat_count(data: dict[str, Any], version: int) -> int:
+    """Return the number of splats: ``count``, or in version 1 the first number of means.shape."""
+    if version == 1:
+        means = data["means"]
+        shape = means.get("shape") if isinstance(means, dict) else None
+        first = shape[0] if isinstance(shape, list) and shape else None
+        return _require_integer(first, f"{META_FILE}, means.shape", MAX_SPLATS)
+    return _require_integer(data.get("count"), f"{META_FILE}, count", MAX_SPLATS)
+
+
+def _is_number(value: object) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) < math.inf
+
+
+def _to_float(value: float) -> float:
+    """Convert a JSON number; one that float64 cannot hold becomes infinite, and is refused."""
+    return float(value) if abs(value) < 1e300 else math.inf
 
 
 def _require_integer(value: object, where: str, most: int) -> int:

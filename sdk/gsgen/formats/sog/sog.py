@@ -1,4 +1,4 @@
-"""Reads SOG files, version 2: splats in lossless WebP images, zipped or beside meta.json.
+"""Reads SOG files, versions 1 and 2: splats in lossless WebP images, zipped or beside meta.json.
 
 The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow reads the images.
 """
@@ -21,18 +21,21 @@ from gsgen.formats.shared.errors import (
     quoted,
 )
 from gsgen.formats.shared.files import FilePath, naming, open_file, stream_size
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import logit, quaternions_from_largest, unit
 from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
-from gsgen.formats.sog.image import Image, decode_image, most_pixels
+from gsgen.formats.sog.image import Image, decode_image, image_size, most_pixels
 from gsgen.formats.sog.meta import (
+    MAX_PALETTE_SIZE,
     META_FILE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
     Meta,
     is_meta,
     is_streamed_meta,
+    palette_of_image,
     parse_object,
 )
 from gsgen.formats.sog.streamed import is_streamed, read_levels
@@ -42,6 +45,7 @@ __all__ = ["read_sog"]
 MAX_META: Final = 1 << 22
 _MAX_PIXELS_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
 _BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
+_MAX_DEGREE = 3
 _BYTES_PER_SPLAT = 236  # the memory of a splat of degree 3
 
 FetchFile = Callable[[str, int], bytes]
@@ -59,7 +63,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool =
     Raises:
         FileUnreadable: A file is missing or empty, or may not be read.
         FormatNotRecognised: The file is not a SOG.
-        NotSupported: The version is not 2, or Pillow is not installed.
+        NotSupported: The version is not 1 or 2, or Pillow is not installed.
         HeaderMalformed: meta.json is not JSON, or a value of it is missing or invalid.
         PropertyMissing: The archive lacks meta.json, or an image that it names.
         FileTruncated: An image has too few pixels.
@@ -67,21 +71,40 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool =
         SizeExceeded: The splats need more than ``max_bytes``.
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
-    with naming(path), open_file(path) as file, np.errstate(all="ignore"):
-        if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
-            splats = _read_unpacked(path, max_bytes)
-            return drawable(splats, path, drop_invalid=drop_invalid)
-        with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            splats = _decode(_fetch_from_archive(archive, stream_size(file)), META_FILE, max_bytes)
+    with naming(path), np.errstate(all="ignore"):
+        splats, unused = _read(path, max_bytes)
+        warn_unused(path, list(dict.fromkeys(unused)))
         return drawable(splats, path, drop_invalid=drop_invalid)
 
 
-def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
+def _read(path: FilePath, max_bytes: int) -> tuple[Splats, list[str]]:
+    """Return the unchecked splats of a SOG, and the names of its parts that were not used."""
+    with open_file(path) as file:
+        if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
+            return _read_unpacked(path, max_bytes)
+        with unpacking("archive"), zipfile.ZipFile(file) as archive:
+            names = {info.filename for info in archive.infolist() if not info.is_dir()}
+            fetch = _fetch_from_archive(archive, stream_size(file))
+
+            def fetch_named(name: str, limit: int) -> bytes:
+                names.difference_update([entry for entry in names if _base_name(entry) == name])
+                return fetch(name, limit)
+
+            splats, unused = _decode(fetch_named, META_FILE, max_bytes)
+            return splats, unused + [f"file {quoted(name)}" for name in sorted(names)]
+
+
+def _base_name(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _read_unpacked(path: FilePath, max_bytes: int) -> tuple[Splats, list[str]]:
     """Read an unpacked SOG by its meta.json, or streamed SOG files by their lod-meta.json."""
     fetch, name = _fetch_from_folder(path), Path(path).name
     data = parse_object(fetch(name, MAX_META))
     if not is_streamed(data):
         return _decode(fetch, name, max_bytes)
+    unused: list[str] = []
 
     def read_part(part: str, limit: int) -> Splats:
         file = Path(path).parent / part
@@ -93,9 +116,12 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
             )
         if is_streamed_too:
             raise HeaderMalformed(quoted(part), where=name, expected="the meta.json of one SOG")
-        return read_sog(file, max_bytes=max(limit, 0))
+        with naming(file):
+            splats, unused_parts = _read(file, max(limit, 0))
+            unused.extend(unused_parts)
+            return drawable(splats, file, drop_invalid=False)
 
-    return read_levels(data, read_part, max_bytes)
+    return read_levels(data, read_part, max_bytes), unused
 
 
 def written_bytes(path: FilePath) -> int:
@@ -113,7 +139,7 @@ def written_bytes(path: FilePath) -> int:
 
 def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
     names = set(archive.namelist())
-    meta_file_names = [name for name in names if name.rpartition("/")[2] == META_FILE]
+    meta_file_names = [name for name in names if _base_name(name) == META_FILE]
     # Archives made of a folder hold its name, too.
     folder = min(meta_file_names, key=len).removesuffix(META_FILE) if meta_file_names else ""
 
@@ -153,7 +179,7 @@ def _require_size_limit(content: bytes, limit: int, name: str) -> bytes:
     return content
 
 
-def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
+def _decode(fetch: FetchFile, name: str, max_bytes: int) -> tuple[Splats, list[str]]:
     meta = Meta.parse(fetch(name, MAX_META))
     count = meta.count
     if count * _BYTES_PER_SPLAT > max_bytes:
@@ -182,16 +208,21 @@ def _decode(fetch: FetchFile, name: str, max_bytes: int) -> Splats:
         return decode_image(fetch_image(file, count), count, group)
 
     color = image("sh0")
-    constant = meta.codebook("sh0")[color[:, :3]]
+    if meta.version == 1:  # the last channel holds logits
+        decoded_color = meta.decode("sh0", color)
+        constant, logit_opacity = decoded_color[:, :3], decoded_color[:, 3]
+    else:
+        constant = meta.decode("sh0", color[:, :3])
+        logit_opacity = logit(np.arange(256) / 255)[color[:, 3]]
     splats = Splats(
         position=_positions(meta, low, high),
         rotation=_decode_rotations(image("quats")),
-        log_scale=meta.codebook("scales")[image("scales")[:, :3]],
-        logit_opacity=logit(color[:, 3] / np.float32(255)),
+        log_scale=meta.decode("scales", image("scales")[:, :3]),
+        logit_opacity=logit_opacity,
         sh=np.concatenate([constant[:, None], _decode_higher_sh_bands(meta, fetch_image)], axis=1),
         antialiased=meta.antialiased,
     )
-    return splats
+    return splats, meta.unused()
 
 
 def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"]:
@@ -214,17 +245,16 @@ def _decode_higher_sh_bands(
     meta: Meta, fetch_image: Callable[[str, int], bytes]
 ) -> Float32[np.ndarray, "n k 3"]:
     """Return the SH coefficients above degree 0 of each splat, from the palette of a SOG file."""
-    palette = meta.palette()
-    if palette is None:
+    if not meta.has_palette:
         return np.empty((meta.count, 0, 3), np.float32)
-    size, degree = palette
-    higher_count = SH_COUNTS[degree] - 1
+    declared_palette = None if meta.version == 1 else meta.palette()
     centroids, labels = meta.files("shN", 2)
+    content = fetch_image(centroids, MAX_PALETTE_SIZE * (SH_COUNTS[_MAX_DEGREE] - 1))
+    size, degree = declared_palette or palette_of_image(*image_size(content, "shN"))
+    higher_count = SH_COUNTS[degree] - 1
     height = -(-size // PALETTE_WIDTH)
     pixels = PALETTE_WIDTH * higher_count * height
-    image = decode_image(
-        fetch_image(centroids, pixels), pixels, "shN", PALETTE_WIDTH * higher_count
-    )
+    image = decode_image(content, pixels, "shN", PALETTE_WIDTH * higher_count)
     indices = decode_image(fetch_image(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
@@ -233,4 +263,4 @@ def _decode_higher_sh_bands(
         )
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
     entries = image[:, :3].reshape(height * PALETTE_WIDTH, higher_count, 3)
-    return np.asarray(meta.codebook("shN")[entries[label]])
+    return meta.decode("shN", entries)[label]

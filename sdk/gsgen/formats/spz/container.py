@@ -5,10 +5,9 @@ size of the file limits the count.
 """
 
 import struct
-import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -31,7 +30,6 @@ from gsgen.formats.shared.errors import (
     SizeExceeded,
     ValueInvalid,
 )
-from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.spz import zstd
 from gsgen.formats.spz.streams import STREAM_NAMES, sizes
 
@@ -41,7 +39,7 @@ NEWEST_GZIP_VERSION, NEWEST_VERSION = 3, 4
 """The last version in gzip, and the last version."""
 
 _ANTIALIASED_FLAG, _EXTENDED_FLAG = 1, 2
-_FILE_HEADER, _FILE_HEADER_WITH_TABLE = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
+_FILE_HEADER, _FILE_HEADER_WITH_TABLE = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12s")
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD_HEADER_STRUCT = struct.Struct("<II")
 _MAX_SPLATS_PER_NINE_BYTES = 1024
@@ -61,6 +59,7 @@ class Frame:
 
     Attributes:
         signs: The factors between the axes of the file and those of a PLY file.
+        unused: The declared parts that no version of the format defines.
     """
 
     version: int
@@ -70,6 +69,7 @@ class Frame:
     antialiased: bool
     streams: Streams
     signs: AxisSigns = RDF_RUB
+    unused: tuple[str, ...] = ()
 
 
 def is_packed(head: bytes) -> bool:
@@ -107,20 +107,31 @@ def unpack(data: Data, max_bytes: int) -> Frame:
 
 
 def _unpack_gzip(data: Data, max_bytes: int) -> Frame:
-    return _unpack_uncompressed(_inflated_chunks(data), len(data), max_bytes)
+    ends: list[int] = []
+    frame = _unpack_uncompressed(_inflated_chunks(data, ends), len(data), max_bytes)
+    trailing_bytes = len(data) - ends[0] if ends else 0
+    if not trailing_bytes:
+        return frame
+    text = f"{trailing_bytes:,} bytes after the end of the gzip stream"
+    return replace(frame, unused=(*frame.unused, text))
 
 
-def _inflated_chunks(data: Data) -> Iterator[bytes]:
-    """Yield the unpacked bytes of a gzip file, piece by piece."""
+def _inflated_chunks(data: Data, ends: list[int]) -> Iterator[bytes]:
+    """Yield the unpacked bytes of a gzip file, piece by piece; append the byte where it ends."""
     unpacker = zlib.decompressobj(wbits=31)
     try:
         for start in range(0, len(data), _CHUNK_BYTES):
+            if unpacker.eof:
+                break
             piece = data[start : start + _CHUNK_BYTES]
             output = b"more"
             while not unpacker.eof and (piece or output):
                 output = unpacker.decompress(piece, _CHUNK_BYTES)
                 piece = unpacker.unconsumed_tail
                 yield output
+            if unpacker.eof:
+                read_bytes = min(start + _CHUNK_BYTES, len(data))
+                ends.append(read_bytes - len(unpacker.unused_data))
     except zlib.error as error:
         raise ArchiveDamaged(
             f"the gzip stream cannot be unpacked ({error})", where="gzip stream", hint=DOWNLOAD_HINT
@@ -138,7 +149,7 @@ def _unpack_uncompressed(pieces: Iterator[bytes], size: int, max_bytes: int) -> 
     body = bytearray()
     _append_chunks(body, pieces, _FILE_HEADER.size)
     require_length(body, 0, _FILE_HEADER.size, "header, unpacked")
-    magic, version, count, degree, fraction, flags = _FILE_HEADER.unpack_from(body)
+    magic, version, count, degree, fraction, flags, reserved = _FILE_HEADER.unpack_from(body)
     if version > NEWEST_GZIP_VERSION:
         raise HeaderMalformed(
             f"the gzip file has SPZ version {version}", where="byte 4", expected="1, 2 or 3"
@@ -159,7 +170,9 @@ def _unpack_uncompressed(pieces: Iterator[bytes], size: int, max_bytes: int) -> 
             expected=f"{end} bytes",
             hint=DOWNLOAD_HINT,
         )
-    signs = _read_extension_signs(bytes(trailing_bytes)) if flags & _EXTENDED_FLAG else RDF_RUB
+    signs, unknown_extensions = _read_extensions(
+        bytes(trailing_bytes) if flags & _EXTENDED_FLAG else b""
+    )
     streams, offset = {}, _FILE_HEADER.size
     for name, length in parts.items():
         streams[name] = read_array(body, np.uint8, (length,), offset, name)
@@ -173,6 +186,7 @@ def _unpack_uncompressed(pieces: Iterator[bytes], size: int, max_bytes: int) -> 
         antialiased=is_antialiased,
         streams=streams,
         signs=signs,
+        unused=(*_undefined_header(flags, bytes([reserved])), *unknown_extensions),
     )
 
 
@@ -186,7 +200,7 @@ def _append_chunks(body: bytearray, pieces: Iterator[bytes], length: int) -> Non
 def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     require_length(data, 0, _FILE_HEADER_WITH_TABLE.size, "header")
     fields = _FILE_HEADER_WITH_TABLE.unpack_from(data)
-    magic, version, count, degree, fraction, flags, stream_count, toc = fields
+    magic, version, count, degree, fraction, flags, stream_count, toc, reserved = fields
     _require_magic(magic, data)
     _require_header(version, count, degree, fraction, len(data))
     parts = {name: size for name, size in sizes(version, count, degree).items() if size}
@@ -202,11 +216,10 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
             f"the table of contents is at byte {toc}", where="byte 16", expected="byte 32 or more"
         )
     require_length(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
-    signs = (
-        _read_extension_signs(bytes(data[_FILE_HEADER_WITH_TABLE.size : toc]))
-        if flags & _EXTENDED_FLAG
-        else RDF_RUB
-    )
+    between = bytes(data[_FILE_HEADER_WITH_TABLE.size : toc])
+    signs, unknown_extensions = _read_extensions(between if flags & _EXTENDED_FLAG else b"")
+    if between and not flags & _EXTENDED_FLAG:
+        unknown_extensions = (f"{len(between)} bytes before the table of contents",)
     streams, offset = {}, toc + stream_count * _TOC_ENTRY.size
     for index, (name, size) in enumerate(parts.items()):
         entry = toc + index * _TOC_ENTRY.size
@@ -239,6 +252,7 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         antialiased=is_antialiased,
         streams=streams,
         signs=signs,
+        unused=(*_undefined_header(flags, reserved), *unknown_extensions),
     )
 
 
@@ -283,9 +297,17 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         )
 
 
-def _read_extension_signs(records: bytes) -> AxisSigns:
-    """Return the axis signs that SPZ extension records declare; warn about unknown records."""
+def _undefined_header(flags: int, reserved: bytes) -> list[str]:
+    """Return the bits and bytes of an SPZ header that are set, and have no meaning."""
+    undefined = flags & ~(_ANTIALIASED_FLAG | _EXTENDED_FLAG)
+    names = [f"flags {undefined:#04x} of the header"] if undefined else []
+    return names + ([f"reserved bytes {reserved.hex(' ')}"] if any(reserved) else [])
+
+
+def _read_extensions(records: bytes) -> tuple[AxisSigns, tuple[str, ...]]:
+    """Return the axis signs that SPZ extension records declare, and the names of unknown ones."""
     signs, offset = RDF_RUB, 0
+    unknown: list[str] = []
     while offset < len(records):
         require_length(records, offset, _RECORD_HEADER_STRUCT.size, "extension record")
         kind, length = _RECORD_HEADER_STRUCT.unpack_from(records, offset)
@@ -294,10 +316,9 @@ def _read_extension_signs(records: bytes) -> AxisSigns:
         if kind == _COORDINATES_EXTENSION:
             signs = _declared_signs(records[offset : offset + length])
         elif kind != _CAMERA_EXTENSION:
-            text = f"extension {kind:#x} is unknown and ignored"
-            warnings.warn(text, FormatWarning, stacklevel=2)
+            unknown.append(f"extension {kind:#x}")
         offset += length
-    return signs
+    return signs, tuple(unknown)
 
 
 def _declared_signs(payload: bytes) -> AxisSigns:
@@ -322,7 +343,7 @@ def _fields(frame: Frame) -> tuple[bytes, int, int, int, int, int]:
 def pack_gzip(frame: Frame, content: Iterable[Iterable[bytes]]) -> Iterator[bytes]:
     """Yield the bytes of an SPZ file of version 1 to 3; each attribute comes in pieces."""
     packer = zlib.compressobj(6, wbits=31)
-    yield packer.compress(_FILE_HEADER.pack(*_fields(frame)))
+    yield packer.compress(_FILE_HEADER.pack(*_fields(frame), 0))
     for pieces in content:  # each attribute has Huffman codes of its own: 4 to 7 % fewer bytes
         for piece in pieces:
             yield packer.compress(piece)
@@ -338,5 +359,7 @@ def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
     parts = [content[name] for name in STREAM_NAMES if content[name]]
     streams = [zstd.pack(part) for part in parts]
     toc = (_TOC_ENTRY.pack(len(a), len(b)) for a, b in zip(streams, parts, strict=True))
-    header = _FILE_HEADER_WITH_TABLE.pack(*header_fields, len(parts), _FILE_HEADER_WITH_TABLE.size)
+    header = _FILE_HEADER_WITH_TABLE.pack(
+        *header_fields, len(parts), _FILE_HEADER_WITH_TABLE.size, bytes(12)
+    )
     return b"".join([header, *toc, *streams])

@@ -12,9 +12,10 @@ from tempfile import TemporaryFile
 import numpy as np
 
 from gsgen.formats.shared.axes import AxisSigns, axis_signs, flip
-from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
+from gsgen.formats.shared.bytes import MAX_BYTES, contents
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming, replace_file
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.splat_values import drawable, require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container as container
@@ -66,13 +67,14 @@ def read_spz(
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
-        splats = decode_spz(data, max_bytes, None if axes is None else axis_signs(axes))
+        frame = container.unpack(data, max_bytes)
+        warn_unused(path, frame.unused)
+        splats = _decode(frame, None if axes is None else axis_signs(axes))
         return drawable(splats, path, drop_invalid=drop_invalid)
 
 
-def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: AxisSigns | None = None) -> Splats:
-    """Return the splats of the SPZ file ``data``, in the coordinate axes of a PLY file."""
-    frame = container.unpack(data, max_bytes)
+def _decode(frame: container.Frame, signs: AxisSigns | None) -> Splats:
+    """Return the splats of an unpacked SPZ file, in the coordinate axes of a PLY file."""
     splats = streams.decode(
         frame.streams,
         version=frame.version,
