@@ -152,7 +152,8 @@ class Meta:
                 return np.asarray(codebook.astype(np.float32)[pixels])
             width = 1 if group == "shN" else pixels.shape[-1]
             least, most = (self._bounds(group, key, width) for key in ("mins", "maxs"))
-            return (least + (most - least) * (pixels / (CODEBOOK_SIZE - 1))).astype(np.float32)
+            values = least + (most - least) * (pixels / (CODEBOOK_SIZE - 1))
+            return np.asarray(values, np.float32)
 
     def _bounds(self, group: str, key: str, width: int) -> Float64[np.ndarray, " c"]:
         """Return the numbers at ``key``; a single one may stand without brackets."""
@@ -255,8 +256,9 @@ def _splat_count(data: dict[str, Any], version: int) -> int:
 
 
 def _is_number(value: object) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and abs(value) < math.inf
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < math.inf
 
 
 def _to_float(value: float) -> float:

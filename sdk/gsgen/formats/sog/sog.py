@@ -263,4 +263,4 @@ def _decode_higher_sh_bands(
         )
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
     entries = image[:, :3].reshape(height * PALETTE_WIDTH, higher_count, 3)
-    return meta.decode("shN", entries)[label]
+    return np.asarray(meta.decode("shN", entries)[label])
