@@ -12,9 +12,11 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
 from gsgen.runtime.kernels.project.cull_slots import CULL_MARGIN
 from gsgen.runtime.kernels.project.project import NO_HARMONICS
+from gsgen.runtime.kernels.project.projections import Projection
 from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
 from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, NO_ID, POLE, TILE
 from gsgen.runtime.scene.camera import DEFAULT_DILATION
+from gsgen.runtime.scene.distortion import Distortion
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import REACH_SIGMAS
 
@@ -29,7 +31,7 @@ class Projected:
         mean: Pixels, relative to the frame's origin.
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
-        depth: Along the camera's +z; in a panorama from the camera.
+        depth: Along the camera's +z; in a fisheye and a panorama from the camera.
         color: Red, green, blue.
     """
 
@@ -42,9 +44,15 @@ class Projected:
 
 
 def project_reference(
-    data: SplatData, frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
+    data: SplatData,
+    frame: Shaped[np.ndarray, ""],
+    page: Shaped[np.ndarray, ""],
+    projection: Projection = "plane",
 ) -> Projected:
-    """Project Gaussians in float64: the reference of ``project.wgsl``."""
+    """Project Gaussians in float64: the reference of ``project.wgsl``.
+
+    ``projection`` tells cameras with a lens; panoramas have a period in their frame.
+    """
     rows = data.rows.astype(np.float64)
     linear, linear_rest, to_sh = (
         np.asarray(page[name], np.float64)[:, :3].T
@@ -60,6 +68,12 @@ def project_reference(
             if frame["period"]
             else _perspective_covariance(position, linear, frame, flat=flat)
         )
+        is_in_range = np.ones(len(rows), bool)
+        if projection == "fisheye":
+            depth, slope, jacobian = _angles_from_axis(position, linear)
+        if projection in ("distorted", "fisheye"):
+            is_in_range = np.linalg.norm(slope, axis=1) < frame["ray_limit"]
+            slope, jacobian = _through_lens(slope, jacobian, frame)
         jacobian = frame["focal"][:, None] * jacobian
         covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
         dilated = covariance + (DEFAULT_DILATION + frame["extra_dilation"]) * np.eye(2)
@@ -80,7 +94,7 @@ def project_reference(
             )
             sh = data.appearance.reshape(len(rows), -1, 3)[:, : weights.shape[1]]
             color = 0.5 + np.einsum("nk,nkc->nc", weights, sh.astype(np.float64))
-        drawn = (depth > frame["near"]) & (opacity >= layout.CULL_OPACITY)
+        drawn = (depth > frame["near"]) & is_in_range & (opacity >= layout.CULL_OPACITY)
         drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
         drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
         drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
@@ -141,6 +155,37 @@ def _unrolled(
     tile_columns = np.stack([cos / width, zero, -sin / width], 1)
     down = np.stack([-sin * high, level / distance, -cos * high], 1)
     return distance, angles, np.stack([tile_columns, down], 1) @ linear / distance[:, None, None]
+
+
+def _angles_from_axis(
+    position: np.ndarray, linear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Project points to a fisheye: distances, angles θ (x, y)/ρ, and Jacobians.
+
+    A step outwards changes θ by (cos θ, −sin θ)/r; a step around the axis turns it by θ/ρ.
+    """
+    distance, level = np.linalg.norm(position, axis=1), np.hypot(position[:, 0], position[:, 1])
+    angle, turn = np.arctan2(level, position[:, 2]), np.arctan2(position[:, 1], position[:, 0])
+    sin, cos = np.sin(turn), np.cos(turn)
+    zero, growth = np.zeros(len(position)), np.where(level > 0, angle * distance / level, 1)
+    outward = np.stack([np.cos(angle) * cos, np.cos(angle) * sin, -np.sin(angle)], 1)
+    around = np.stack([-sin, cos, zero], 1) * growth[:, None]
+    rows = [cos[:, None] * outward - sin[:, None] * around]
+    rows.append(sin[:, None] * outward + cos[:, None] * around)
+    points = angle[:, None] * np.stack([cos, sin], 1)
+    return distance, points, np.stack(rows, 1) @ linear / distance[:, None, None]
+
+
+def _through_lens(
+    points: np.ndarray, jacobian: np.ndarray, frame: Shaped[np.ndarray, ""]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a lens moves points, linearly beyond the image's slopes, and Jacobians."""
+    names = ("radial", "divisor", "tangential", "prism")
+    lens = Distortion(**{name: tuple(frame[name].astype(float).tolist()) for name in names})
+    inside = np.clip(points, frame["slope_low"], frame["slope_high"])
+    derivative = lens.jacobian(inside)
+    beyond = (derivative @ (points - inside)[:, :, None])[:, :, 0]
+    return lens.distorted(inside) + beyond, derivative @ jacobian
 
 
 def normals_reference(

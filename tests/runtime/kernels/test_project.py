@@ -6,6 +6,7 @@ import pytest
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project import project
+from gsgen.runtime.kernels.project.projections import projection_of
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import NO_ID, source
 from gsgen.runtime.renderer.frame_plan import Plan
@@ -14,7 +15,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from references.projection import Projected, normals_reference, project_reference
 from references.tiles import blend_reference, ranges_reference, touched_reference, window_tiles
-from support.rendering.splat_scenes import SCENES, camera, cloud
+from support.rendering.splat_scenes import LENSES, SCENES, camera, cloud
 
 NOTHING_BEHIND = np.zeros(3)
 
@@ -40,7 +41,7 @@ def reference(splat_set: SplatSet, camera: Camera) -> Projected:
     frame = project.frame_uniform(camera, NOTHING_BEHIND)
     n = len(splat_set.data)
     page = project.page_uniform(splat_set, camera, 0, n, splat_set.data.count)
-    return project_reference(splat_set.data, frame, page)
+    return project_reference(splat_set.data, frame, page, projection_of(camera))
 
 
 ONE_SET = [
@@ -60,6 +61,7 @@ ONE_SET = [
     "panorama",
     "panorama_poles",
     "panorama_part",
+    *LENSES,
 ]
 
 

@@ -9,12 +9,14 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.frame import NOTHING
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from support.rendering.splat_scenes import SCENES, camera, cloud, single, turned
+from support.rendering.splat_scenes import LENSES, SCENES, camera, cloud, single, turned
 
 EVERYTHING = ("color", "depth", "normal")
 
 
-@pytest.mark.parametrize("name", ["many", "placed", "flat_cameras", "not_finite", "panorama"])
+@pytest.mark.parametrize(
+    "name", ["many", "placed", "flat_cameras", "not_finite", "panorama", *LENSES]
+)
 def test_all_outputs_agree_with_the_oracle(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     frame = renderer.render(scene, camera, outputs=EVERYTHING)

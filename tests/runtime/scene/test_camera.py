@@ -67,8 +67,8 @@ def test_a_flat_camera_shows_the_same_at_its_distance() -> None:
         assert 0 < z / w < 1
     assert Camera.from_json(flat.to_json()).kind == "orthographic"
     assert flat.flattened(9).fx == flat.fx
-    with pytest.raises(SceneInvalid, match=r"camera\.kind: is 'fisheye'"):
-        Camera.from_dict(VALID_CAMERA | {"kind": "fisheye"})
+    with pytest.raises(SceneInvalid, match=r"camera\.kind: is 'fish'"):
+        Camera.from_dict(VALID_CAMERA | {"kind": "fish"})
 
 
 VALID_CAMERA = {

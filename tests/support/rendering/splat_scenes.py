@@ -6,6 +6,7 @@ import numpy as np
 
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 from gsgen.runtime.scene.scene import Box, Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
@@ -302,3 +303,78 @@ def panorama_part() -> tuple[Scene, Camera]:
     """From over the left shoulder to behind the right one, from below the horizon to the pole."""
     part = {"longitudes": (100.0, 250.0), "latitudes": (-90.0, 10.0)}
     return Scene([all_around(200, 67, degree=1)]), Camera.panorama((0, 0, 0), width=90, **part)
+
+
+LENSES = [
+    "lens_barrel",
+    "lens_cushion",
+    "lens_rational",
+    "fisheye",
+    "fisheye_opencv",
+    "fisheye_prism",
+]
+"""Scenes that cameras with a lens see: a distorted pinhole, or a fisheye beyond a quarter turn."""
+
+
+def _through_lens(
+    seed: int, *, is_fisheye: bool = False, **changes: object
+) -> tuple[Scene, Camera]:
+    """All around the camera, all degrees, with values that are not finite."""
+    sets = [all_around(80, seed + d, size=0.2, degree=d) for d in range(3)]
+    wrong = np.float32([np.nan, np.inf, -np.inf])
+    sets[0].rows[np.arange(30), np.arange(30) % 10] = wrong[np.arange(30) // 10]
+    sets[1].rows[:3, :2] = 0  # on the axis, in front and behind
+    sets[1].rows[:3, 2] = 2, 3, -2
+    placed = turned(0.7, (1, 2, 3), 1.3)
+    placed[:3, 3] = 0.3, -0.2, 0.5
+    focal = {"fx": 17.0, "fy": 18.0} if is_fisheye else {"fx": 45.0, "fy": 47.0}
+    kind = "fisheye" if is_fisheye else "pinhole"
+    view = turned(0.4, (2, -1, 1))
+    values: dict[str, object] = {"width": 61, "height": 47, "cx": 31.5, "cy": 22.0, "kind": kind}
+    camera = Camera(view, **values | focal | changes)  # type: ignore[arg-type]
+    return Scene([*sets, SplatSet(sets[2], placed, antialias="mip")]), camera
+
+
+@named
+def lens_barrel() -> tuple[Scene, Camera]:
+    """Its corners are beyond the fold."""
+    return _through_lens(70, distortion=Distortion.of({"k1": -0.35, "k2": 0.02}))
+
+
+@named
+def lens_cushion() -> tuple[Scene, Camera]:
+    lens = Distortion.of({"k1": 0.2, "k2": 0.05, "p1": 0.02, "p2": -0.03})
+    return _through_lens(74, distortion=lens)
+
+
+@named
+def lens_rational() -> tuple[Scene, Camera]:
+    values = {
+        "k1": 0.3,
+        "k2": 0.1,
+        "k3": 0.02,
+        "k4": 0.4,
+        "k5": 0.1,
+        "k6": 0.01,
+        "p1": -0.01,
+        "p2": 0.02,
+    }
+    return _through_lens(78, distortion=Distortion.of(values, is_rational=True))
+
+
+@named
+def fisheye() -> tuple[Scene, Camera]:
+    return _through_lens(82, is_fisheye=True)
+
+
+@named
+def fisheye_opencv() -> tuple[Scene, Camera]:
+    """Its principal point is outside the image, whose far corner is 150 degrees from the axis."""
+    lens = Distortion.of({"k1": -0.03, "k2": 0.01, "k3": -0.001, "k4": 0.0001})
+    return _through_lens(86, is_fisheye=True, distortion=lens, cx=-3.0)
+
+
+@named
+def fisheye_prism() -> tuple[Scene, Camera]:
+    values = {"k1": -0.03, "k2": 0.005, "p1": 0.005, "p2": -0.003, "s1": 0.01, "s2": -0.004}
+    return _through_lens(90, is_fisheye=True, distortion=Distortion.of(values))

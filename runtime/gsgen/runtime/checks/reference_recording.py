@@ -147,8 +147,9 @@ class _PictureCameras:
             (source,) = sources_of(scene)
             source.up = axis_direction((self._manifest.space or Space()).up)
             camera = self._view.camera(source, number, 0.0)
-        if camera.kind != "pinhole":
-            message = f"is {camera.kind}, expected a pinhole camera"
+        if camera.kind != "pinhole" or camera.distortion is not None:
+            lens = "" if camera.distortion is None else " with lens distortion"
+            message = f"is {camera.kind}{lens}, expected a pinhole camera without distortion"
             raise SceneInvalid(message, where="--camera")
         return camera.scaled(
             self._image_width, max(1, round(camera.height * self._image_width / camera.width))

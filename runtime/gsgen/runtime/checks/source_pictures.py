@@ -218,9 +218,11 @@ def _match_cameras(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple
 def _read_source(path: Path, camera: Camera) -> _Source:
     from PIL import Image, UnidentifiedImageError
 
-    if camera.kind != "pinhole":
-        message = f"has a camera of kind {camera.kind}, expected one with perspective"
-        raise SceneInvalid(message, where=str(path))
+    if camera.kind != "pinhole" or camera.distortion is not None:
+        kind = camera.kind if camera.distortion is None else f"{camera.kind} with lens distortion"
+        message = f"has a camera of kind {kind}, expected a pinhole without distortion"
+        hint = "Undistort the pictures, and give the cameras of the undistorted pictures."
+        raise SceneInvalid(message, where=str(path), hint=hint)
     try:
         with Image.open(path) as image:
             if max(image.size) > MAX_SIDE:

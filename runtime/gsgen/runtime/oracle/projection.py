@@ -73,8 +73,9 @@ class ScreenEllipses:
         mean: Centres, in pixels.
         covariance: 2D covariances, in pixels².
         dilated_covariance: 2D covariances with the dilation.
-        depth: Along the camera's +z; in a panorama from the camera.
-        is_finite: Whether a row is finite and its ellipse has a positive finite size.
+        depth: Along the camera's +z; in a fisheye and a panorama from the camera.
+        is_finite: Whether a row is finite, its ellipse has a positive finite size, and its centre is
+            within the range of the lens.
         sigma: Covariances in camera space.
         position: Centres in camera space.
     """
@@ -104,9 +105,10 @@ def ellipses(
         # Step 2: project them by the derivative of the projection at the centre, and dilate.
         mean, covariance = _project_planar(position, sigma, camera)
         dilated_covariance = covariance + camera.dilation * np.eye(2)
-        depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
+        depth = np.linalg.norm(position, axis=1) if camera.has_ray_depth else position[:, 2]
         # Step 3: a row is drawn only if all of its numbers make an ellipse.
         is_finite = np.isfinite(rows).all(axis=1) & np.isfinite(dilated_covariance).all(axis=(1, 2))
+        is_finite &= _is_within_lens(position, camera)
         is_finite &= (
             (np.linalg.det(dilated_covariance) > 0)
             & (dilated_covariance[:, 0, 0] > 0)
@@ -206,6 +208,8 @@ def _project_planar(
         return focal * position[:, :2] + center, forward @ sigma @ forward.T
     if camera.kind == "panorama":
         return _project_panorama(position, sigma, focal, center)
+    if camera.kind == "fisheye" or camera.distortion is not None:
+        return _project_lens(position, sigma, camera)
     # Far beside the image the derivative is that at its margin: else it would grow without limit.
     slope = position[:, :2] / position[:, 2:]
     low = -(center + _JACOBIAN_MARGIN * size / 2) / focal
@@ -215,6 +219,66 @@ def _project_planar(
     jacobian[:, [0, 1], [0, 1]] = focal / position[:, 2:]
     jacobian[:, :, 2] = -focal * clipped_slope / position[:, 2:]
     return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
+
+
+def _project_lens(
+    position: np.ndarray, sigma: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centres of Gaussians seen through a lens, in pixels, and their 2D covariances."""
+    low, high = camera.plane_bounds()
+    margin = _JACOBIAN_MARGIN / 2 * (high - low)
+    bounds = np.minimum(low - margin, 0), np.maximum(high + margin, 0)
+    if camera.kind == "fisheye":
+        points, jacobian = _fisheye(position)
+    else:
+        points, jacobian = _pinhole(position, bounds)
+    if camera.distortion is not None:
+        # Far beside the image the lens goes on linearly.
+        inside = np.clip(points, *bounds)
+        derivative = camera.distortion.jacobian(inside)
+        beyond = np.einsum("nij,nj->ni", derivative, points - inside)
+        points, jacobian = camera.distortion.distorted(inside) + beyond, derivative @ jacobian
+    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    jacobian = focal[:, None] * jacobian
+    return focal * points + center, jacobian @ sigma @ jacobian.transpose(0, 2, 1)
+
+
+def _pinhole(
+    position: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slopes of points, [n, 2], and their derivatives, constant beyond the bounds."""
+    slope = position[:, :2] / position[:, 2:]
+    clipped_slope = np.clip(slope, *bounds)
+    jacobian = np.tile(np.eye(2, 3), (len(position), 1, 1))
+    jacobian[:, :, 2] = -clipped_slope
+    return slope, jacobian / position[:, 2, None, None]
+
+
+def _fisheye(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angles of points from the axis, as vectors [n, 2], and their derivatives.
+
+    With A = θ/ρ these are A (x, y); the derivative of A by ρ is (z/r² − A)/ρ, by z −1/r².
+    """
+    planar, z = position[:, :2], position[:, 2]
+    rho, squared_distance = np.linalg.norm(planar, axis=1), np.square(position).sum(axis=1)
+    ratio = np.where(rho > 0, np.arctan2(rho, z) / rho, 1 / z)
+    by_rho = np.where(rho > 0, (z / squared_distance - ratio) / rho, 0)
+    unit = np.where(rho[:, None] > 0, planar / rho[:, None], 0)
+    jacobian = np.zeros((len(position), 2, 3))
+    jacobian[:, :, :2] = ratio[:, None, None] * np.eye(2)
+    jacobian[:, :, :2] += by_rho[:, None, None] * planar[:, :, None] * unit[:, None, :]
+    jacobian[:, :, 2] = -planar / squared_distance[:, None]
+    return planar * ratio[:, None], jacobian
+
+
+def _is_within_lens(position: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return whether the rays to points are within the range of the camera's lens."""
+    rho, z = np.linalg.norm(position[:, :2], axis=1), position[:, 2]
+    if camera.kind == "fisheye":
+        return np.asarray(np.arctan2(rho, z) < camera.ray_limit)
+    if camera.distortion is not None:
+        return np.asarray(rho / z < camera.ray_limit)
+    return np.ones(len(position), bool)
 
 
 def _project_panorama(

@@ -147,7 +147,7 @@ class LivePlayback(Playback):
         extents = [source.extent() for source in self.sources]
         source_depths = [
             float(np.linalg.norm(center - camera.eye))
-            if camera.kind == "panorama"
+            if camera.has_ray_depth
             else float(camera.view[2, :3] @ center + camera.view[2, 3])
             for center, _ in extents
         ]
@@ -176,8 +176,7 @@ class LivePlayback(Playback):
         """Return a key that changes when the models must compute a new frame."""
         if not any(source.follows_camera for source in self.sources):
             return 0
-        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        return self.number, camera.view.tobytes(), lens
+        return self.number, camera.view.tobytes(), camera.intrinsics
 
     def _data_versions(self) -> list[tuple[int, ...]]:
         return [source.state for source in self.sources]

@@ -282,23 +282,25 @@ class Plan:
                 self._counts,
                 self._slots,
                 normals,
-                panorama=self.image.panorama,
+                projection=self.image.projection,
                 records=self._records,
             )
             return {
-                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self.image.panorama),
+                "keys": self.slabs.key_steps(
+                    outputs, self._slots, projection=self.image.projection
+                ),
                 "tally": self.slabs.tally_steps(self._slots),
                 "project": steps,
             }
         recorded_stages = list[Step]()
         for slot, (_, page) in enumerate(placed):
             if page.slots is not None:
-                cull_kernel = self._kernels.cull_slots(page, panorama=self.image.panorama)
+                cull_kernel = self._kernels.cull_slots(page, projection=self.image.projection)
                 recorded_stages.append(
                     cull_kernel.step(self._frame_uniform, keys, low_keys, self._slots, slot, page)
                 )
             kernel = self._kernels.project(
-                page, panorama=self.image.panorama, records=self._records
+                page, projection=self.image.projection, records=self._records
             )
             recorded_stages.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:

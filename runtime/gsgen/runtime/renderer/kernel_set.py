@@ -12,6 +12,7 @@ from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.place_splats import PlaceSplatsKernel
 from gsgen.runtime.kernels.project.project import ProjectKernel
 from gsgen.runtime.kernels.project.project_cells import ProjectCells, SlabCells
+from gsgen.runtime.kernels.project.projections import Projection
 from gsgen.runtime.kernels.project.tally_keys import CountKeysKernel
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
@@ -91,21 +92,28 @@ class Kernels:
         kernel: _Kernel = self._kernel_cache[key]
         return kernel
 
-    def cull_slots(self, page: Page, *, panorama: bool, keys_only: bool = False) -> CullSlots:
+    def cull_slots(
+        self, page: Page, *, projection: Projection, keys_only: bool = False
+    ) -> CullSlots:
         """Return the kernel that lists the slots in view of a pool's page."""
         return self._cached_kernel(
-            CullSlots, slot_rows(page), panorama=panorama, keys_only=keys_only
+            CullSlots, slot_rows(page), projection=projection, keys_only=keys_only
         )
 
     def project(
-        self, page: Page, *, panorama: bool, records: bool = False, slab: SlabPart | None = None
+        self,
+        page: Page,
+        *,
+        projection: Projection,
+        records: bool = False,
+        slab: SlabPart | None = None,
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page to splats that are sorted."""
         return self._cached_kernel(
             ProjectKernel,
             page.appearance_stride,
             is_half=page.is_half,
-            panorama=panorama,
+            projection=projection,
             packed=page.packed,
             slot_rows=slot_rows(page),
             tile=self.sort_config.tile,
@@ -116,25 +124,25 @@ class Kernels:
         )
 
     def project_weighted(
-        self, page: Page, *, panorama: bool, slab: SlabPart | None = None
+        self, page: Page, *, projection: Projection, slab: SlabPart | None = None
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page for weighted sums."""
         return self._cached_kernel(
             ProjectKernel,
             page.appearance_stride,
             is_half=page.is_half,
-            panorama=panorama,
+            projection=projection,
             weighted=True,
             slab=slab,
         )
 
-    def project_cells(self, *, panorama: bool) -> ProjectCells:
+    def project_cells(self, *, projection: Projection) -> ProjectCells:
         """Return the kernel that projects cells (groups of Gaussians)."""
-        return self._cached_kernel(ProjectCells, panorama=panorama)
+        return self._cached_kernel(ProjectCells, projection=projection)
 
-    def slab_cells(self, *, panorama: bool) -> SlabCells:
+    def slab_cells(self, *, projection: Projection) -> SlabCells:
         """Return the kernels that project the cells of a slab."""
-        return self._cached_kernel(SlabCells, panorama=panorama)
+        return self._cached_kernel(SlabCells, projection=projection)
 
     def normals(self, page: Page, *, placed: bool = False) -> NormalsKernel:
         """Return the kernel that computes the normals of a page; of a slab's rows if ``placed``."""

@@ -1,23 +1,16 @@
 """What decides the kernels of a frame plan: the images that it draws, and the method."""
 
-__all__ = [
-    "Backgrounds",
-    "DepthSort",
-    "Dilation",
-    "ImageSpec",
-    "Projection",
-    "RasterMethod",
-    "Rasteriser",
-]
+__all__ = ["Backgrounds", "DepthSort", "Dilation", "ImageSpec", "RasterMethod", "Rasteriser"]
 
 from dataclasses import dataclass
 from typing import Literal, final
 
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.kernels.project.projections import Projection, projection_of
+from gsgen.runtime.kernels.tiles.blend_tiles import MIN_DILATION
 from gsgen.runtime.renderer.slabs import WITHOUT_SLABS, SlabSizes
+from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_OUTPUT_ONLY, Output
-
-Projection = Literal["plane", "panorama"]
-"""Where splats are projected to; a panorama draws a splat up to three times, around its seam."""
 
 Dilation = Literal["usual", "small"]
 """Whether a camera's dilation may be below LEAST_DILATION, where falloffs are steep."""
@@ -48,6 +41,26 @@ class ImageSpec:
     outputs: frozenset[Output] = frozenset(COLOR_OUTPUT_ONLY)
     projection: Projection = "plane"
     dilation: Dilation = "usual"
+
+    @classmethod
+    def of(cls, camera: Camera, outputs: frozenset[Output]) -> "ImageSpec":
+        """Return the images of a camera."""
+        return cls(
+            size=(camera.width, camera.height),
+            outputs=outputs,
+            projection=projection_of(camera),
+            dilation="small" if camera.dilation < MIN_DILATION else "usual",
+        )
+
+    def require_meshes(self) -> None:
+        """Raise if meshes cannot be drawn in the images: their kernels know no lenses."""
+        if self.projection in ("distorted", "fisheye"):
+            lens = "a fisheye" if self.projection == "fisheye" else "a lens with distortion"
+            raise SceneInvalid(
+                f"is {lens}, expected a camera without one: the scene has meshes",
+                where="camera",
+                hint="Leave the meshes out, or draw them through a pinhole or a panorama.",
+            )
 
     @property
     def panorama(self) -> bool:

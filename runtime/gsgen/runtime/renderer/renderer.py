@@ -15,7 +15,6 @@ from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import LARGE_TILE
-from gsgen.runtime.kernels.tiles.blend_tiles import MIN_DILATION
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.bands import (
     Band,
@@ -441,12 +440,9 @@ class Renderer:
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._has_deep_tiles, self._slab_limit = rows, False, _UNLIMITED_SPLATS
-        image = ImageSpec(
-            size=(camera.width, camera.height),
-            outputs=outputs,
-            projection="panorama" if camera.kind == "panorama" else "plane",
-            dilation="small" if camera.dilation < MIN_DILATION else "usual",
-        )
+        image = ImageSpec.of(camera, outputs)
+        if meshes:
+            image.require_meshes()
         self._plan_shape = (contents, image)
         key = (self._plan_shape, self._pairs, self._has_deep_tiles, self._slab_limit)
         if self._plan is None or key != self._plan_key:

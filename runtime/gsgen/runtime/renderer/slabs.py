@@ -25,6 +25,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page, is_larger_than_binding
 from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACEMENT_BLOCK_ROWS
+from gsgen.runtime.kernels.project.projections import Projection
 from gsgen.runtime.kernels.project.tally_keys import BIN_COUNT
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
@@ -390,33 +391,32 @@ class Slabs:
         """Return how the depth slab ``number`` is drawn."""
         slab_range = ranges[number]
         is_in_cell = len(slab_range.tied_keys) == _CELL_TIED_COUNT
+        previous_keys = ranges[number - 1].tied_keys if number > 0 else None
         return SlabState(
             resumes=number > 0,
             continues=number + 1 < len(ranges),
             tied_keys=slab_range.tied_keys,
             splats=slab_range.splats,
-            resumes_cell=is_in_cell
-            and number > 0
-            and ranges[number - 1].tied_keys == slab_range.tied_keys,
+            resumes_cell=is_in_cell and previous_keys == slab_range.tied_keys,
             weighted=self._is_weighted_set,
         )
 
     def key_steps(
-        self, outputs: tuple[Buffer, ...], uniform: Buffer, *, panorama: bool
+        self, outputs: tuple[Buffer, ...], uniform: Buffer, *, projection: Projection
     ) -> list[Step]:
         """Return the dispatches that compute the depth sort keys of all Gaussians.
 
         Args:
             outputs: The outputs of the projection, in order.
             uniform: Buffer with the uniforms of all pages.
-            panorama: Whether the image is a panorama.
+            projection: Where Gaussians are projected to.
         """
         steps, (frame, _, *other_buffers) = [], outputs
         for slot, (page, keys) in enumerate(zip(self._pages, self.keys, strict=True)):
             if page.slots is not None:
-                cull_kernel = self._kernels.cull_slots(page, panorama=panorama, keys_only=True)
+                cull_kernel = self._kernels.cull_slots(page, projection=projection, keys_only=True)
                 steps.append(cull_kernel.step(frame, keys, other_buffers[-1], uniform, slot, page))
-            project = self._kernels.project(page, panorama=panorama, slab="keys")
+            project = self._kernels.project(page, projection=projection, slab="keys")
             steps.append(project.step((frame, keys, *other_buffers), uniform, slot, page))
         return steps
 
@@ -451,7 +451,7 @@ class Slabs:
         uniform: Buffer,
         normals: Buffer | None,
         *,
-        panorama: bool,
+        projection: Projection,
         records: bool,
     ) -> list[Step]:
         """Return the dispatches that project the Gaussians in the chosen range of depths.
@@ -461,16 +461,16 @@ class Slabs:
             counts: The frame's counts.
             uniform: Buffer with the uniforms of all pages.
             normals: Buffer of normals; None if they are not requested.
-            panorama: Whether the image is a panorama.
+            projection: Where Gaussians are projected to.
             records: Whether each splat is one record.
         """
-        steps = []
+        steps, kernels = list[Step](), self._kernels
         for slot, page in enumerate(self._pages):
             steps += self.place_steps(slot, counts, uniform)
-            project = self._kernels.project(page, panorama=panorama, records=records, slab="splats")
+            project = kernels.project(page, projection=projection, records=records, slab="splats")
             steps.append(project.step(outputs, uniform, slot, page, self.place_buffer))
             if normals is not None:
-                kernel = self._kernels.normals(page, placed=True)
+                kernel = kernels.normals(page, placed=True)
                 steps.append(kernel.step(self.place_buffer, normals, uniform, slot, page))
         return steps
 

@@ -188,15 +188,15 @@ class WeightedPart:
 
         Arguments are those of :meth:`_project_all`.
         """
-        panorama = self._image.panorama
-        kernel = self._kernels.slab_cells(panorama=panorama)
+        projection = self._image.projection
+        kernel = self._kernels.slab_cells(projection=projection)
         keys, steps = list[Step](), list[Step]()
         for slot, (_, page) in enumerate(placed):
             assert page.cells is not None
             bound_buffers = (self._frame_uniform, slabs.keys[slot])
             keys.append(kernel.key_step(*bound_buffers, self._slots, slot, page, page.cells))
             steps += slabs.place_steps(slot, self.counts, self._slots)
-            project = self._kernels.project_weighted(page, panorama=panorama, slab="splats")
+            project = self._kernels.project_weighted(page, projection=projection, slab="splats")
             output_buffers = (self._frame_uniform, self.counts, *splats)
             steps.append(
                 project.step(
@@ -221,7 +221,7 @@ class WeightedPart:
     ) -> list[Step]:
         recorded_stages = []
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project_weighted(page, panorama=self._image.panorama)
+            kernel = self._kernels.project_weighted(page, projection=self._image.projection)
             bound_buffers = (self._frame_uniform, *outputs)
             recorded_stages.append(kernel.step(bound_buffers, self._slots, slot, page, page.cells))
         return recorded_stages
@@ -229,7 +229,7 @@ class WeightedPart:
     def _project_cells(
         self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
-        kernel = self._kernels.project_cells(panorama=self._image.panorama)
+        kernel = self._kernels.project_cells(projection=self._image.projection)
         bound_buffers = (self._frame_uniform, *outputs)
         return [
             kernel.step(bound_buffers, self._cell_slots, slot, page.cells, _cells(page))

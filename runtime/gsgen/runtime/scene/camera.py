@@ -1,4 +1,4 @@
-"""Pinhole, orthographic and panoramic cameras in the OpenCV convention, also as JSON."""
+"""Pinhole, fisheye, orthographic and panoramic cameras in the OpenCV convention, also as JSON."""
 
 __all__ = ["Camera"]
 
@@ -13,18 +13,25 @@ from jaxtyping import Float
 
 from gsgen.contract.spec import geometry
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.camera_numbers import (
+    require_image_side,
+    require_number,
+    require_sphere,
+    unit_direction,
+)
+from gsgen.runtime.scene.distortion import Distortion, Points, undistorted_bounds
 from gsgen.sdk.binding.camera_inputs import FAR_RATIO, pinhole_projection
 
 DEFAULT_NEAR = 0.01
 """Near plane of a camera without one, in world units."""
 DEFAULT_DILATION = 0.3
 """Variance that the pixel filter adds to each projected Gaussian, in pixels² (Kerbl et al. 2023)."""
-_LARGEST_SIDE = 16_384
 _ROTATION_TOLERANCE = 1e-3
 _UP_DIRECTION = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
-_FULL_TURN_TOLERANCE = 1e-6  # relative tolerance: a panorama may be wider than a turn by this share
+_STEEPEST_SLOPE = 1000.0  # of rays that a distorted pinhole draws: 89.94 degrees from its axis
+_WIDEST_ANGLE = math.radians(179)  # from a fisheye's axis: behind it is a whole circle of the image
 
-Kind = Literal["pinhole", "orthographic", "panorama"]
+Kind = Literal["pinhole", "fisheye", "orthographic", "panorama"]
 """The projection of a camera."""
 
 
@@ -34,9 +41,12 @@ class Camera:
     """A camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
 
     A pinhole projects a point to (fx x/z + cx, fy y/z + cy), an orthographic camera to
-    (fx x + cx, fy y + cy): its focal lengths are pixels per world unit. A panorama projects it to
+    (fx x + cx, fy y + cy): its focal lengths are pixels per world unit. A fisheye projects it to
+    (fx θ x/ρ + cx, fy θ y/ρ + cy) with ρ² = x² + y² and the angle θ = atan2(ρ, z) from the axis: its
+    focal lengths are pixels per radian. A panorama projects it to
     (fx λ + cx, fy φ + cy) with the longitude λ = atan2(x, z) and, downwards, the latitude
-    φ = asin(y/r): its focal lengths are pixels per radian (an equirectangular image).
+    φ = asin(y/r): its focal lengths are pixels per radian (an equirectangular image). A lens may
+    distort the image of a pinhole or a fisheye, before the focal lengths apply.
 
     Attributes:
         view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
@@ -46,11 +56,13 @@ class Camera:
         cy: Principal point from the upper edge, in pixels.
         width: Image width, in pixels.
         height: Image height, in pixels.
-        near: Least distance of drawn Gaussians along +z, in world units; in a panorama the least
-            distance in any direction.
-        kind: ``pinhole``, ``orthographic`` or ``panorama``.
+        near: Least distance of drawn Gaussians along +z, in world units; in a fisheye and in a
+            panorama the least distance in any direction.
+        kind: ``pinhole``, ``fisheye``, ``orthographic`` or ``panorama``.
         dilation: Variance that the pixel filter adds to each projected Gaussian, in pixels². It is
             smaller for pictures that are enlarged later, and not part of a camera file.
+        distortion: The lens distortion of a pinhole or a fisheye; None without one. A distortion
+            that moves nothing becomes None.
 
     Raises:
         SceneInvalid: A number is not finite or out of range, or ``view`` is not a rigid transform.
@@ -67,6 +79,7 @@ class Camera:
     near: float = DEFAULT_NEAR
     kind: Kind = "pinhole"
     dilation: float = DEFAULT_DILATION
+    distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
@@ -76,17 +89,23 @@ class Camera:
             )
         object.__setattr__(self, "view", view)
         for name in ("fx", "fy", "near", "dilation"):
-            _require_number(name, getattr(self, name), must_be_positive=True)
+            require_number(name, getattr(self, name), must_be_positive=True)
         for name in ("cx", "cy"):
-            _require_number(name, getattr(self, name))
+            require_number(name, getattr(self, name))
         for name in ("width", "height"):
-            _require_image_side(name, getattr(self, name))
+            require_image_side(name, getattr(self, name))
         if self.kind not in get_args(Kind):
+            message = f"is {self.kind!r}, expected pinhole, fisheye, orthographic or panorama"
+            raise SceneInvalid(message, where="camera.kind")
+        if self.distortion is not None and self.kind not in ("pinhole", "fisheye"):
             raise SceneInvalid(
-                f"is {self.kind!r}, expected pinhole, orthographic or panorama", where="camera.kind"
+                f"belongs to a camera of kind {self.kind}, expected pinhole or fisheye",
+                where="camera.distortion",
             )
+        if self.distortion is not None and self.distortion.is_zero:
+            object.__setattr__(self, "distortion", None)
         if self.kind == "panorama":
-            _require_sphere(self)
+            require_sphere(self.fx, self.fy, self.cy, (self.width, self.height))
         rotation = view[:3, :3]
         with np.errstate(all="ignore"):  # numbers may be so large that they overflow
             orthogonality_error = np.abs(rotation @ rotation.T - np.eye(3)).max()
@@ -126,14 +145,14 @@ class Camera:
         """
         if not 0 < fov_y < 180:
             raise SceneInvalid(f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y")
-        _require_image_side("height", height)
+        require_image_side("height", height)
         position, target_position = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         if not np.linalg.norm(target_position - position) > 0:
             raise SceneInvalid(
                 f"looks from {position.tolist()} at {target_position.tolist()}, expected two different points",
                 where="camera",
             )
-        up_vector = _unit_direction("up", up)
+        up_vector = unit_direction("up", up)
         focal = height / 2 / math.tan(math.radians(fov_y) / 2)
         view = geometry.look_at(position, target_position, up_vector)
         return cls(
@@ -169,8 +188,8 @@ class Camera:
         Raises:
             SceneInvalid: A number is out of range.
         """
-        _require_number("radius", radius, must_be_positive=True)
-        axis = _unit_direction("up", up)
+        require_number("radius", radius, must_be_positive=True)
+        axis = unit_direction("up", up)
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
         rotation, elevation_radians = math.radians(azimuth), math.radians(elevation)
@@ -235,12 +254,12 @@ class Camera:
                 )
         x_scale = math.radians(longitudes[1] - longitudes[0])
         y_scale = math.radians(latitudes[1] - latitudes[0])
-        _require_image_side("width", width)
+        require_image_side("width", width)
         panorama_height = max(1, round(width * y_scale / x_scale)) if height is None else height
-        _require_image_side("height", panorama_height)
+        require_image_side("height", panorama_height)
         fx, fy = width / x_scale, panorama_height / y_scale
-        up_vector = _unit_direction("up", up)
-        forward_direction = _unit_direction("toward", toward)
+        up_vector = unit_direction("up", up)
+        forward_direction = unit_direction("toward", toward)
         forward_direction -= up_vector * (up_vector @ forward_direction)
         if not np.linalg.norm(forward_direction) > 1e-6:
             raise SceneInvalid(
@@ -288,8 +307,9 @@ class Camera:
                 f"is a {type(document).__name__}, expected an object with {', '.join(known_names)}",
                 where="camera",
             )
+        optional_names = ("near", "kind", "distortion")
         missing = [
-            name for name in known_names if name not in document and name not in ("near", "kind")
+            name for name in known_names if name not in document and name not in optional_names
         ]
         unknown_names = [name for name in document if name not in known_names]
         if missing or unknown_names:
@@ -303,12 +323,18 @@ class Camera:
             values["view"] = np.array(values["view"], np.float64)
         except (TypeError, ValueError) as error:
             raise SceneInvalid(f"is not a matrix: {error}", where="camera.view") from error
+        if values.get("distortion") is not None:
+            values["distortion"] = Distortion.from_dict(values["distortion"])
         return cls(**values)
 
     def to_json(self) -> str:
         """Return the camera as a JSON object."""
         values = {name: getattr(self, name) for name in _stored_fields()}
-        return json.dumps(values | {"view": self.view.tolist()}, indent=1)
+        values |= {"view": self.view.tolist()}
+        del values["distortion"]
+        if self.distortion is not None:
+            values["distortion"] = self.distortion.to_dict()
+        return json.dumps(values, indent=1)
 
     @property
     def eye(self) -> Float[np.ndarray, "3"]:
@@ -319,12 +345,15 @@ class Camera:
     def projection(self) -> Float[np.ndarray, "4 4"]:
         """The matrix from camera to clip space, depth 0 to 1, for ONNX generators, [4, 4].
 
-        A panorama has no such matrix: it returns that of a box of 1e5 units around the camera, so
-        that models that cull by the view cull nothing, not even points behind the camera.
+        A panorama and a fisheye have no such matrix: it returns that of a box of 1e5 units around
+        the camera, so that models that cull by the view cull nothing, not even points behind the
+        camera. That of a distorted pinhole is of the pinhole that sees all of its image.
         """
+        if self.kind == "pinhole" and self.distortion is not None:
+            return np.asarray(pinhole_projection(self._bounding_pinhole()))
         if self.kind == "pinhole":
             return np.asarray(pinhole_projection(self))
-        if self.kind == "panorama":
+        if self.has_ray_depth:
             box = np.diag([1 / FAR_RATIO, -1 / FAR_RATIO, 0.5 / FAR_RATIO, 1])
             box[2, 3] = 0.5
             return np.asarray(box)
@@ -336,6 +365,61 @@ class Camera:
         return projection
 
     @property
+    def has_ray_depth(self) -> bool:
+        """Whether depths are distances from the camera, as in a fisheye, and not along its axis."""
+        return self.kind in ("fisheye", "panorama")
+
+    @property
+    def intrinsics(self) -> tuple[object, ...]:
+        """All but the pose, the near plane and the dilation, as a key of caches."""
+        lens = (self.fx, self.fy, self.cx, self.cy, self.kind, self.distortion)
+        return (*lens, self.width, self.height)
+
+    @property
+    def ray_limit(self) -> float:
+        """How far from the axis rays are drawn: an angle of a fisheye, a slope of a pinhole.
+
+        Farther out the distortion would fold the image over, or is not bounded.
+        """
+        limit = _WIDEST_ANGLE if self.kind == "fisheye" else _STEEPEST_SLOPE
+        return limit if self.distortion is None else self.distortion.fold_radius(limit)
+
+    def plane_points(self, pixels: Points) -> Points:
+        """Return points of the image plane without lens and focal length for pixels, [n, 2].
+
+        They are slopes (x/z, y/z) of a pinhole, (x, y) of an orthographic camera, θ (x, y)/ρ of a
+        fisheye, longitudes and latitudes of a panorama; beyond the lens, the nearest ones within.
+        """
+        points = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
+        if self.distortion is None:
+            return np.asarray(points)
+        return self.distortion.undistorted(points, self.ray_limit)
+
+    def plane_bounds(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """Return the least and the greatest :meth:`plane_points` of the image."""
+        focal, center = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        size = np.array([self.width, self.height])
+        if self.distortion is None:
+            return -center / focal, (size - center) / focal
+        low, high = undistorted_bounds(
+            self.distortion, self.ray_limit, *((*pair,) for pair in (focal, center, size))
+        )
+        return np.array(low), np.array(high)
+
+    def half_angle(self) -> float:
+        """Return an angle from the axis, in radians, within which a pinhole's or fisheye's image is."""
+        low, high = self.plane_bounds()
+        radius = min(float(np.linalg.norm(np.maximum(-low, high))), self.ray_limit)
+        return radius if self.kind == "fisheye" else math.atan(radius)
+
+    def _bounding_pinhole(self) -> "Camera":
+        """Return the pinhole without distortion whose image has all rays of this camera's."""
+        low, high = self.plane_bounds()
+        fx, fy = np.array([self.width, self.height]) / (high - low)
+        cx, cy = -low * [fx, fy]
+        return replace(self, fx=fx, fy=fy, cx=cx, cy=cy, distortion=None)
+
+    @property
     def period(self) -> float:
         """The width of a full panorama of 360 degrees, in pixels; 0 for other cameras."""
         return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
@@ -344,16 +428,17 @@ class Camera:
         """Return an orthographic camera that shows objects at a distance in this camera's scale.
 
         Raises:
-            SceneInvalid: The distance is not positive, or the camera is a panorama.
+            SceneInvalid: The distance is not positive, or the camera is a panorama or a fisheye.
         """
-        _require_number("distance", distance, must_be_positive=True)
-        if self.kind == "panorama":
+        require_number("distance", distance, must_be_positive=True)
+        if self.has_ray_depth:
             raise SceneInvalid(
-                "is panorama, expected pinhole or orthographic for an orthographic view",
+                f"is {self.kind}, expected pinhole or orthographic for an orthographic view",
                 where="camera.kind",
             )
         scale = distance if self.kind == "pinhole" else 1.0
-        return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
+        fx, fy = self.fx / scale, self.fy / scale
+        return replace(self, fx=fx, fy=fy, kind="orthographic", distortion=None)
 
     def panorama_around(self, width: int, height: int) -> "Camera":
         """Return a 360° camera at this camera's position, with this camera's axis in the middle."""
@@ -406,49 +491,6 @@ class Camera:
             cy=height / 2 + (self.cy - self.height / 2) * scale,
             width=width,
             height=height,
-        )
-
-
-def _require_number(name: str, value: object, *, must_be_positive: bool = False) -> None:
-    is_finite = isinstance(value, int | float) and math.isfinite(value)
-    if not is_finite or (must_be_positive and not float(value) > 0):  # type: ignore[arg-type]
-        expected = "a positive number" if must_be_positive else "a finite number"
-        raise SceneInvalid(f"is {value!r}, expected {expected}", where=f"camera.{name}")
-
-
-def _unit_direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]:
-    vector = np.asarray(components, np.float64)
-    length = np.linalg.norm(vector)
-    if vector.shape != (3,) or not 0 < length < math.inf:
-        raise SceneInvalid(
-            f"is {list(components)}, expected a direction of 3 numbers", where=f"camera.{name}"
-        )
-    return np.asarray(vector / length)
-
-
-def _require_sphere(camera: Camera) -> None:
-    """Raise if a panorama camera shows a direction twice, or a latitude beyond a pole."""
-    if camera.width > camera.period * (1 + _FULL_TURN_TOLERANCE):
-        raise SceneInvalid(
-            f"is {camera.fx} pixels per radian, {camera.period:.6g} per turn, but the image is "
-            f"{camera.width} wide",
-            where="camera.fx",
-            hint="A full panorama has fx = width / 2π, a part of one has more.",
-        )
-    top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
-    if max(-top, bottom) > math.pi / 2 * (1 + _FULL_TURN_TOLERANCE):
-        raise SceneInvalid(
-            f"is such that the image shows latitudes from {math.degrees(-bottom):.6g} to "
-            f"{math.degrees(-top):.6g} degrees, expected −90 to 90 at most",
-            where="camera.cy",
-            hint="A full panorama has cy = height / 2 and fy = height / π.",
-        )
-
-
-def _require_image_side(name: str, value: object) -> None:
-    if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
-        raise SceneInvalid(
-            f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}", where=f"camera.{name}"
         )
 
 

@@ -119,8 +119,10 @@ class Controls:
     def pan(self, right: float, down: float, width: int, height: int) -> None:
         """Move the camera so that its pivot follows a mouse drag in pixels, for an image size."""
         camera = self.camera(width, height)
-        depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._scene_radius}
-        steps = -depth[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])
+        depth = {"orthographic": 1.0, "panorama": self._scene_radius}
+        steps = -depth.get(camera.kind, self._distance) * np.array(
+            [right / camera.fx, down / camera.fy, 0]
+        )
         self.pivot = self.pivot + self._rotation.T @ steps
 
     def wheel(self, amount: float) -> None:
@@ -128,7 +130,7 @@ class Controls:
         factor = math.exp(float(np.clip(amount * _ZOOM_PER_WHEEL_UNIT, -5, 5)))
         if self._initial_camera.kind == "orthographic":
             self._zoom_factor = float(np.clip(self._zoom_factor / factor, 1e-4, 1e4))
-        elif self._initial_camera.kind == "pinhole":
+        elif self._initial_camera.kind != "panorama":
             low, high = _MIN_DISTANCE * self._scene_radius, 1e4 * self._scene_radius
             self._distance = float(np.clip(self._distance * factor, low, high))
 
@@ -162,20 +164,22 @@ class Controls:
         """Move the camera until the whole scene is in view, without turning it."""
         initial_camera = self._initial_camera
         self.pivot, self._zoom_factor = self._scene_center.copy(), 1.0
-        if initial_camera.kind == "pinhole":
-            half_fov = math.atan(
+        if initial_camera.kind in ("pinhole", "fisheye"):
+            half_fov = (
                 min(
                     initial_camera.width / initial_camera.fx,
                     initial_camera.height / initial_camera.fy,
                 )
                 / 2
             )
+            is_fisheye = initial_camera.kind == "fisheye"
+            half_fov = min(half_fov, math.pi / 2) if is_fisheye else math.atan(half_fov)
             self._distance = self._scene_radius / math.sin(half_fov)
 
 
 def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
     """Return the world position at a pixel and a depth of a camera's image."""
-    x_slope, down = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    x_slope, down = camera.plane_points(np.array([[x, y]]))[0]
     local = np.array([x_slope, down, 1.0]) * depth
     if camera.kind == "orthographic":
         local = np.array([x_slope, down, depth])
@@ -184,6 +188,10 @@ def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
         local = depth * np.array(
             [math.sin(x_slope) * level, math.sin(down), math.cos(x_slope) * level]
         )
+    elif camera.kind == "fisheye":
+        angle = math.hypot(x_slope, down)
+        outward = np.array([x_slope, down]) * float(np.sinc(angle / np.pi))
+        local = depth * np.array([*outward, math.cos(angle)])
     return np.asarray(camera.eye + camera.view[:3, :3].T @ local)
 
 

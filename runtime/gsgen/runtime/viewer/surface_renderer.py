@@ -38,8 +38,7 @@ class ViewRequest:
     def key(self, playback: LivePlayback) -> object:
         """Return a key that changes when the viewer must draw its picture again."""
         camera = self.camera
-        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        camera_key = (camera.view.tobytes(), lens, camera.near, camera.dilation)
+        camera_key = (camera.view.tobytes(), camera.intrinsics, camera.near, camera.dilation)
         number = playback.number if playback.post else 0
         settings_key = (playback.sh_degree, playback.antialias, playback.version, number)
         return camera_key, self.mode, self.background, settings_key, id(playback)

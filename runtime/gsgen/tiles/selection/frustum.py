@@ -24,7 +24,8 @@ class Frustum:
 
     Attributes:
         planes: A point x is inside where n·x + d ≥ 0 for every row (n, d); unit normals. Four
-            sides and z ≥ 0; a panorama has none.
+            sides and z ≥ 0, around the cone of rays of a camera with a lens; a panorama has none,
+            nor has a fisheye that sees farther than a quarter turn from its axis.
         eye: Centre of the camera.
         rotation: Root frame → camera; its rows are right, down and forward.
         focal: Pixels for each unit of size over distance; of an orthographic camera, pixels
@@ -90,7 +91,9 @@ class Frustum:
         turn, shift = view[:3, :3] / scale, view[:3, 3] / scale
         eye, focal = -turn.T @ shift, camera.fy
         planes = np.zeros((0, 4))
-        if camera.kind != "panorama":
+        if camera.kind == "fisheye" or camera.distortion is not None:
+            planes = _cone_planes(camera.half_angle(), turn, shift)
+        elif camera.kind != "panorama":
             right, low = camera.width - camera.cx, camera.height - camera.cy
             offsets = np.array([camera.cx, right, camera.cy, low])
             sides = np.zeros((5, 3))
@@ -171,6 +174,17 @@ class Frustum:
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = error * self.focal / distance
         return np.where(error > 0, pixels, 0.0)
+
+
+def _cone_planes(
+    half_angle: float, turn: Float64[np.ndarray, "3 3"], shift: Float64[np.ndarray, " 3"]
+) -> Planes:
+    """Return the planes of a pyramid around a cone about the axis, of half an angle in radians."""
+    if not half_angle < math.pi / 2:
+        return np.zeros((0, 4))
+    cos, sin = math.cos(half_angle), math.sin(half_angle)
+    sides = np.array([[cos, 0, sin], [-cos, 0, sin], [0, cos, sin], [0, -cos, sin], [0, 0, 1]])
+    return _frustum_planes(sides, np.zeros(5), turn, shift)
 
 
 def _frustum_planes(

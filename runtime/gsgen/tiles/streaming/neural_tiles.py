@@ -53,7 +53,7 @@ class _RunInputs(NamedTuple):
         time: In seconds; None for a generator without a time.
     """
 
-    camera: tuple[bytes, tuple[float, ...]] | None
+    camera: tuple[bytes, tuple[object, ...]] | None
     time: float | None
 
 
@@ -397,8 +397,7 @@ class NeuralTiles:
     def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> _RunInputs:
         """Return the inputs that a tile's ONNX generator gets in this frame."""
         sees_camera = bool(set(self._neural_tiles_by_index[tile].inputs) & set(CAMERA_ROLES))
-        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        view = (camera.view.tobytes(), lens) if sees_camera else None
+        view = (camera.view.tobytes(), camera.intrinsics) if sees_camera else None
         return _RunInputs(view, self._time(tile, values))
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:

@@ -8,6 +8,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.project.projections import Projection, projection_constants
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN
 from gsgen.runtime.scene.splat_pool import REACH_SIGMAS
@@ -23,12 +24,12 @@ class CullSlots:
     Args:
         device: Device of the kernel.
         slot_rows: Rows of a slot.
-        panorama: Whether the image is a panorama.
+        projection: Where Gaussians are projected to.
         keys_only: Whether keys are those of the page alone, before a frame is drawn in slabs.
     """
 
     def __init__(
-        self, device: Device, slot_rows: int, *, panorama: bool, keys_only: bool = False
+        self, device: Device, slot_rows: int, *, projection: Projection, keys_only: bool = False
     ) -> None:
         self.kernel = Kernel(
             device,
@@ -41,7 +42,7 @@ class CullSlots:
             CULL_MARGIN=CULL_MARGIN,
             REACH=REACH_SIGMAS,
             KEYS_ONLY=keys_only,
-            PANORAMA=panorama,
+            **projection_constants(projection),
         )
 
     def step(

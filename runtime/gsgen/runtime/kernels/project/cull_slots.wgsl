@@ -3,7 +3,8 @@
 // One workgroup per slot. A slot is dropped if it is not drawn, or if the box around its splats
 // lies behind the near plane, or outside of one of four planes through the camera centre: those to
 // whose slopes Jacobians are clamped, CULL_MARGIN images beyond the sides. Beyond them the ellipse of
-// a splat reaches as far as its ellipsoid, except for the dilation.
+// a splat reaches as far as its ellipsoid, except for the dilation. That does not hold for lenses,
+// whose slots are all listed.
 
 //!include frame
 //!include page
@@ -28,7 +29,7 @@ fn may_be_seen(slot: u32) -> bool {
         return false;
     }
     let dilation = REACH * sqrt(DILATION + frame.extra_dilation);
-    if (PANORAMA || is_flat() || any(CULL_MARGIN * vec2f(frame.size) < vec2f(dilation))) {
+    if (PANORAMA || FISHEYE || DISTORTED || is_flat() || any(CULL_MARGIN * vec2f(frame.size) < vec2f(dilation))) {
         return true;
     }
     let extent = 0.5 * (slots[slot].high - slots[slot].low);

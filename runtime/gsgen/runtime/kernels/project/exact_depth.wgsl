@@ -91,7 +91,7 @@ fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     let rows = transpose(page.linear);
     let rests = transpose(page.linear_rest);
     var depth = exact_coordinate(rows[2], rests[2], from_eye, vec2f(eye.camera.z, eye.camera_rest.z));
-    if (PANORAMA) {
+    if (PANORAMA || FISHEYE) {
         let x = exact_coordinate(rows[0], rests[0], from_eye, vec2f(eye.camera.x, eye.camera_rest.x));
         let y = exact_coordinate(rows[1], rests[1], from_eye, vec2f(eye.camera.y, eye.camera_rest.y));
         depth = exact_length(x, y, depth);

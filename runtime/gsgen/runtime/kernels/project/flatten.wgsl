@@ -3,6 +3,7 @@
 //!include frame
 //!include page
 //!include panorama
+//!include lens
 
 struct Flat {
     mean: vec2f,         // pixels, relative to the frame's origin
@@ -18,9 +19,9 @@ struct Flat {
 const LARGEST = 3.4e38;
 const LARGEST_VARIANCE = 1e30;  // pixels²; its reciprocal is still a normal float
 
-// Return the depth of a point in camera space: along +z, in a panorama from the camera.
+// Return the depth of a point in camera space: along +z, in a fisheye and a panorama from the camera.
 fn depth_of(at: vec3f) -> f32 {
-    if (PANORAMA) {
+    if (PANORAMA || FISHEYE) {
         return distance_of(at);
     }
     return at.z;
@@ -45,6 +46,27 @@ fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
         let middle = 0.5 * f32(frame.size.x) - frame.origin.x;
         flat.mean.x = middle + nearest(flat.mean.x - middle);
     }
+    var is_in_range = true;
+    if (DISTORTED || FISHEYE) {
+        var point = slope;
+        var px = inverse * (turned[0] - bent.x * turned[2]);
+        var py = inverse * (turned[1] - bent.y * turned[2]);
+        if (FISHEYE) {
+            let sight = fisheye_sight(at, depth);
+            point = sight.angles;
+            px = turned * sight.jx;
+            py = turned * sight.jy;
+        }
+        // Beside the image the lens goes on linearly: its polynomials would grow without limit.
+        let inside = clamp(point, frame.slope_low, frame.slope_high);
+        let moved = moved_by_lens(inside);
+        let beyond = point - inside;
+        let seen = moved.point + vec2f(dot(moved.x, beyond), dot(moved.y, beyond));
+        jx = frame.focal.x * (moved.x.x * px + moved.x.y * py);
+        jy = frame.focal.y * (moved.y.x * px + moved.y.y * py);
+        flat.mean = frame.focal * seen + frame.center;
+        is_in_range = dot(point, point) < frame.ray_limit * frame.ray_limit;
+    }
     let sx = sigma * jx;
     let sy = sigma * jy;
     flat.bare = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
@@ -57,6 +79,6 @@ fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
     flat.scaled = flat.dilated * flat.inverse_unit;
     flat.determinant = flat.scaled.x * flat.scaled.z - flat.scaled.y * flat.scaled.y;
     flat.is_valid = flat.dilated.x > 0.0 && flat.dilated.z > 0.0 && most <= LARGEST_VARIANCE
-        && flat.unit > 0.0 && flat.determinant > 0.0;
+        && flat.unit > 0.0 && flat.determinant > 0.0 && is_in_range;
     return flat;
 }

@@ -20,6 +20,7 @@ from jaxtyping import Float, Shaped
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
+from gsgen.runtime.kernels.project.projections import Projection, projection_constants
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
@@ -48,7 +49,7 @@ def _uniform_dtype(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np
 
 
 FRAME: Final = _uniform_dtype(
-    96,
+    144,
     {
         "focal": ("2f4", 0),
         "center": ("2f4", 8),
@@ -65,6 +66,11 @@ FRAME: Final = _uniform_dtype(
         "rank": ("u4", 84),
         "tied_key": ("u4", 88),
         "tied_low": ("u4", 92),
+        "radial": ("4f4", 96),
+        "divisor": ("3f4", 112),
+        "ray_limit": ("f4", 124),
+        "tangential": ("2f4", 128),
+        "prism": ("2f4", 136),
     },
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
@@ -129,6 +135,15 @@ def frame_uniform(
     uniform["focal"], uniform["center"], uniform["origin"] = focal, center - origin, origin
     uniform["slope_low"] = -(center + frame_margin) / focal
     uniform["slope_high"] = (size - center + frame_margin) / focal
+    if camera.kind == "fisheye" or camera.distortion is not None:
+        low, high = camera.plane_bounds()
+        margin = JACOBIAN_MARGIN * (high - low) / 2
+        uniform["slope_low"] = np.minimum(low - margin, 0)  # the axis is always within
+        uniform["slope_high"] = np.maximum(high + margin, 0)
+    if camera.distortion is not None:
+        for name, values in camera.distortion.to_dict().items():
+            uniform[name] = values
+    uniform["ray_limit"] = camera.ray_limit
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
     uniform["origin"][1] -= first_row
@@ -204,7 +219,7 @@ class ProjectKernel:
         device: Device of the kernel.
         appearance_stride: Length of an appearance row, in vectors of 16 bytes; 0 if two rows share one.
         is_half: Whether the appearance is float16.
-        panorama: Whether the image is a panorama.
+        projection: Where Gaussians are projected to.
         weighted: Whether Gaussians are blended by weighted sums.
         packed: Whether rows are packed by compact_rows.py.
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
@@ -225,7 +240,7 @@ class ProjectKernel:
         appearance_stride: int,
         *,
         is_half: bool,
-        panorama: bool = False,
+        projection: Projection = "plane",
         weighted: bool = False,
         packed: bool = False,
         slot_rows: int = 0,
@@ -259,9 +274,9 @@ class ProjectKernel:
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
             PACKED=packed,
-            PANORAMA=panorama,
             SPLAT_REACH=SPLAT_RADIUS_SIGMAS,
             WINDOWS=windows,
+            **projection_constants(projection),
             **({"DRAWN": int(Counts.DRAWN)} if weighted else {}),
             **(digits.constants if digits else {}),
         )

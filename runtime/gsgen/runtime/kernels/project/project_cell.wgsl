@@ -21,7 +21,7 @@ fn project_cell(own: u32) -> ProjectedCell {
     let distance = depth_of(at);
     let exact = exact_depth(center.position, distance);
     let depth = exact.x;
-    at.z = select(depth, at.z, PANORAMA);
+    at.z = select(depth, at.z, PANORAMA || FISHEYE);
     // Step 2: drop cells that are invisible, behind the near plane, or have no finite ellipse.
     let flat = flatten(at, distance, read_covariance(own));
     let is_there = depth > frame.near && depth <= LARGEST;

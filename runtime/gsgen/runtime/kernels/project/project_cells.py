@@ -8,6 +8,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.project.projections import Projection, projection_constants
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
@@ -19,7 +20,7 @@ CELL_RADIUS_SIGMAS: Final = 2.0
 class ProjectCells:
     """The kernel ``project_cells.wgsl``: projects groups of Gaussians for weighted sums."""
 
-    def __init__(self, device: Device, *, panorama: bool = False) -> None:
+    def __init__(self, device: Device, *, projection: Projection = "plane") -> None:
         self.kernel = Kernel(
             device,
             "project_cells",
@@ -27,7 +28,7 @@ class ProjectCells:
             ("uwwwrww", "ur"),
             THREADS=THREADS_PER_WORKGROUP,
             DRAWN=int(Counts.DRAWN),
-            PANORAMA=panorama,
+            **projection_constants(projection),
             CELL_REACH=CELL_RADIUS_SIGMAS,
         )
 
@@ -54,10 +55,10 @@ class SlabCells:
 
     Args:
         device: Device of the kernels.
-        panorama: Whether the image is a panorama.
+        projection: Where Gaussians are projected to.
     """
 
-    def __init__(self, device: Device, *, panorama: bool = False) -> None:
+    def __init__(self, device: Device, *, projection: Projection = "plane") -> None:
         self._keys_kernel, self._cells_kernel = (
             Kernel(
                 device,
@@ -65,7 +66,7 @@ class SlabCells:
                 entry,
                 (resources, "ur"),
                 THREADS=THREADS_PER_WORKGROUP,
-                PANORAMA=panorama,
+                **projection_constants(projection),
                 CELL_REACH=CELL_RADIUS_SIGMAS,
             )
             for entry, resources in (("find_keys", "uw"), ("place_cells", "uwwwwr"))

@@ -26,7 +26,7 @@ fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) -> u32 {
         let distance = depth_of(at);
         let depth = exact_depth(center.position, distance);
         low = order_of(depth.y);
-        at.z = select(depth.x, at.z, PANORAMA);
+        at.z = select(depth.x, at.z, PANORAMA || FISHEYE);
         if (is_in_view(center.position, depth.x)) {
             let opacity = center.opacity * opacity_scale;
             key = write_splat(own, index, center.position, at, distance, depth.x, opacity);

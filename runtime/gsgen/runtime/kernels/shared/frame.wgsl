@@ -3,7 +3,7 @@
 struct Frame {
     focal: vec2f,        // pixels
     center: vec2f,       // principal point minus `origin`, pixels
-    slope_low: vec2f,    // x/z and y/z beyond which the Jacobian stays constant
+    slope_low: vec2f,    // x/z and y/z beyond which the Jacobian, or a lens's derivative, stays constant
     slope_high: vec2f,
     origin: vec2f,       // whole pixels; image coordinates are relative to it, for precision
     near: f32,
@@ -16,6 +16,12 @@ struct Frame {
     rank: u32,           // what the keys of slabs are: 0 depths, 1 remainders of one depth, 2 rows or cells, 3 rows of one cell
     tied_key: u32,       // the depth whose splats are ranked, or the first Gaussian of the cell …
     tied_low: u32,       // … and, for rows or cells, its remainder, or the Gaussians of the cell in the slab
+    // Of lenses, for lens.wgsl:
+    radial: vec4f,       // k1 to k4
+    divisor: vec3f,      // d1 to d3
+    ray_limit: f32,      // how far from the axis rays are drawn: a slope, of a fisheye an angle
+    tangential: vec2f,   // p1 and p2
+    prism: vec2f,        // s1 and s2
 }
 
 // A panorama draws a splat up to three times: a full turn to the left, where it is, and to the right.

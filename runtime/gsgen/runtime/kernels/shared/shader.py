@@ -39,6 +39,8 @@ _SHADER_CONSTANTS: dict[str, int | float | bool] = {
     "ABSENT": NO_ID,
     "CULL_OPACITY": layout.CULL_OPACITY,
     "DILATION": DEFAULT_DILATION,
+    "DISTORTED": False,
+    "FISHEYE": False,
     "MAX_ALPHA": MAX_ALPHA,
     "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
     "NOWHERE": NOWHERE,
