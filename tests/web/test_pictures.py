@@ -10,7 +10,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import Scene
 from support.rendering.near_ties import NEAR_TIES
-from support.rendering.splat_scenes import SCENES, cloud
+from support.rendering.splat_scenes import LENSES, SCENES, cloud
 from support.web.pages import WebSite, unpacked
 from support.web.scenes import camera_of, set_of
 
@@ -50,13 +50,22 @@ def expected(
     return words.reshape(camera.height, camera.width, 4), drawing.visible
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - set(LENSES)))
 def test_page_draws_scenes_like_python(name: str, site: WebSite, renderer: Renderer) -> None:
     scene, camera = SCENES[name]()
     image, visible = expected(renderer, scene, camera, background=(0.1, 0.2, 0.3, 1))
     result = drawn(site, scene, camera, background=[0.1, 0.2, 0.3])
     assert result["visible"] == visible
     np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE, rtol=_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "lens"), [("fisheye", "a fisheye"), ("lens_barrel", "distortion")]
+)
+def test_a_lens_is_refused_by_name(name: str, lens: str, site: WebSite) -> None:
+    scene, camera = SCENES[name]()
+    with pytest.raises(Exception, match=f"{lens} is not drawn in pages"):
+        drawn(site, scene, camera)
 
 
 @pytest.mark.parametrize("output", ["depth", "normal"])

@@ -218,16 +218,6 @@ def test_sizes_come_from_the_picture_where_the_file_has_none(tmp_path: Path) -> 
     assert (only_camera(path).width, only_camera(path).height) == (33, 21)
 
 
-def test_distortion_is_noted_and_a_fisheye_refused(tmp_path: Path) -> None:
-    pinhole: dict[str, object] = {"fl_x": 9, "w": 8, "h": 6}
-    noted = open_cameras(transforms(tmp_path, {"k1": 0.1}, **pinhole))
-    assert "distortion of 1 of 1 frames is left out" in noted.notes[0]
-    assert viewpoint(str(tmp_path)).notes == noted.notes
-    for wrong in ({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}):
-        with pytest.raises(ConfigInvalid, match=r"frame 0: .*which no pinhole camera approximates"):
-            open_cameras(transforms(tmp_path, wrong, **pinhole))
-
-
 def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
     """Nerfstudio's has fl_x = height and fl_y = height for a full one."""
     path = transforms(tmp_path, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32)
@@ -264,6 +254,9 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
         assert (seen_u, seen_v) == pytest.approx((u, v), abs=1e-6)
 
 
+NOT_DRAWN = {"FOV", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM"}
+
+
 @pytest.mark.parametrize("model", CAMERA_MODELS)
 def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> None:
     values = {"f": 40.0, "fx": 40.0, "fy": 50.0, "cx": 30.0, "cy": 20.0}
@@ -272,19 +265,20 @@ def test_colmap_lens_models_are_read_or_refused(model: str, tmp_path: Path) -> N
         numbers = " ".join(str(values.get(name, distortion)) for name in names)
         (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {numbers}\n")
         (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
-        if "FISHEYE" in model or model == "FOV":
-            with pytest.raises(ConfigInvalid, match=f"{model}, expected one that a pinhole"):
+        if model in NOT_DRAWN:
+            with pytest.raises(ConfigInvalid, match=f"model is {model}, expected one of SIMPLE"):
                 open_cameras(tmp_path)
             continue
         file = open_cameras(tmp_path / "images.txt")  # any file of the model will do
         camera = file.cameras[0].camera
         assert (camera.fx, camera.cx, camera.cy) == (40, 30, 20)
         assert camera.fy == (50 if "fy" in names else 40)
-        assert bool(file.notes) == (distortion > 0 and "PINHOLE" not in model)
+        assert camera.kind == ("fisheye" if "FISHEYE" in model else "pinhole")
+        has_coefficients = len(names) > 3 + ("fy" in names)
+        assert (camera.distortion is not None) == (distortion > 0 and has_coefficients)
+        assert file.notes == ()
     (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 1.0\n")
-    with pytest.raises(
-        ConfigInvalid, match=r"expected one that a pinhole|has 1 parameters, expected"
-    ):
+    with pytest.raises(ConfigInvalid, match=r"expected one of SIMPLE|has 1 parameters, expected"):
         open_cameras(tmp_path)
 
 
@@ -360,7 +354,7 @@ WRONG = {
     "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}": "not a rigid transform",
     '[{"rotation": [[1,0],[0,1]], "position": [0,0,0]}]': "rotation is .* expected 3×3 finite",
     '[{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "position": "x"}]': "position is 'x', expected 3 f",
-    '{"camera_path": [], "camera_type": "fisheye"}': "camera_type is 'fisheye', expected persp",
+    '{"camera_path": [], "camera_type": "vr180"}': "camera_type is 'vr180', expected one of persp",
     '{"camera_path": []}': "has no frames",
     '{"camera_path": [{}]}': "lacks render_width",
     '{"camera_path": [{}], "render_width": 4, "render_height": 4}': "frame 0: lacks camera_to_w",

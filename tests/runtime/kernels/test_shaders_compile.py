@@ -86,6 +86,8 @@ CONSTANTS: dict[str, int | float | bool] = {
 VARIANTS: dict[str, dict[str, int | float | bool]] = {
     "usual": {},
     "panorama": {"PANORAMA": True, "CORNERS": 6},
+    "distorted": {"DISTORTED": True},
+    "fisheye": {"FISHEYE": True},
     "other branches": {
         "LAYERS": 0,
         "LAYERED": False,

@@ -8,6 +8,7 @@ import pytest
 from gsgen.runtime.kernels.project import project
 from gsgen.runtime.kernels.project.project import SPLAT_RADIUS_SIGMAS
 from gsgen.runtime.kernels.project.project_cells import CELL_RADIUS_SIGMAS
+from gsgen.runtime.kernels.project.projections import projection_of
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer.frame_plan import Plan
@@ -67,7 +68,7 @@ def splats(result: Run) -> Projected:
     page["per_cell"] = splat_set.data.per_cell
     page["inverse_range"] = 0 if splat_set.depth_range is None else 1 / splat_set.depth_range
     frame = project.frame_uniform(result.seen_by, NOTHING_BEHIND)
-    return project_reference(splat_set.data, frame, page)
+    return project_reference(splat_set.data, frame, page, projection_of(result.seen_by))
 
 
 def cells(result: Run) -> Projected:
@@ -78,7 +79,8 @@ def cells(result: Run) -> Projected:
     bare = np.zeros((len(own), 3), np.float32)
     page = project.page_uniform(splat_set, result.seen_by, 0, len(own), len(own))
     frame = project.frame_uniform(result.seen_by, NOTHING_BEHIND)
-    return project_reference(SplatData(own, bare, "rgb"), frame, page)
+    projection = projection_of(result.seen_by)
+    return project_reference(SplatData(own, bare, "rgb"), frame, page, projection)
 
 
 def dilated(actual: Projected) -> np.ndarray:

@@ -15,6 +15,7 @@ from gsgen.runtime.kernels.shared.shader import NO_ID
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 from gsgen.runtime.scene.frame import NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -53,6 +54,8 @@ def assert_equal(pooled: Frame, single: Frame) -> None:
 CAMERAS = {
     "pinhole": camera(),
     "panorama": Camera.panorama((0, 0, 1), width=96),
+    "distorted": replace(camera(), distortion=Distortion.of({"k1": -0.2, "p1": 0.01})),
+    "fisheye": replace(camera(fx=20.0, fy=20.0), kind="fisheye"),
     "orthographic": camera(fx=9.0, fy=9.0).flattened(4.0),
 }
 TURNED = turned(0.4, (1, 2, 3), 1.3)

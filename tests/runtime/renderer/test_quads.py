@@ -7,7 +7,7 @@ from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
-from support.rendering.splat_scenes import SCENES
+from support.rendering.splat_scenes import LENSES, SCENES
 
 BACKGROUND = (0.1, 0.4, 0.7, 0.5)
 
@@ -33,6 +33,7 @@ def quads(device: Device) -> Renderer:
         "panorama_poles",
         "panorama_huge",
         "panorama_part",
+        *LENSES,
     ],
 )
 def test_quads_agree_with_the_oracle(quads: Renderer, name: str) -> None:

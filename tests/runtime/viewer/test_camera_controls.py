@@ -1,10 +1,14 @@
 """What a drag does to the camera, told by where points are seen before and after."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.viewer.camera_controls import CAMERA_KEYS, Controls
+from gsgen.runtime.scene.distortion import Distortion
+from gsgen.runtime.viewer.camera_controls import CAMERA_KEYS, Controls, unproject
+from references.lenses import lens_pixel
 
 UP = np.array([0.0, -1.0, 0.0])
 CENTER = np.array([0.3, -0.2, 0.5])
@@ -186,3 +190,43 @@ def test_a_panorama_is_turned_in_its_place() -> None:
     np.testing.assert_allclose(camera.eye, home_camera.eye, atol=1e-3)
     assert (camera.kind, camera.width, camera.height) == ("panorama", 640, 200)
     assert not np.allclose(camera.view[:3, :3], home_camera.view[:3, :3], atol=1e-3)
+
+
+LENSES = {
+    "distorted": {"distortion": Distortion.of({"k1": -0.2, "k2": 0.02, "p1": 0.01, "p2": -0.02})},
+    "fisheye": {"kind": "fisheye", "fx": 70.0, "fy": 72.0},
+    "distorted fisheye": {
+        "kind": "fisheye",
+        "fx": 70.0,
+        "fy": 72.0,
+        "distortion": Distortion.of({"k1": -0.03, "k2": 0.004}),
+    },
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_a_pixel_seen_through_a_lens_is_unprojected(name: str) -> None:
+    camera = replace(orbit(azimuth=20, elevation=10), **LENSES[name])
+    rng = np.random.default_rng(2)
+    for x, y, depth in rng.uniform((5, 5, 1), (315, 175, 9), (30, 3)).tolist():
+        point = unproject(camera, x, y, depth)
+        local = camera.view[:3, :3] @ point + camera.view[:3, 3]
+        assert lens_pixel(camera, local.tolist()) == pytest.approx((x, y), abs=1e-6)
+        actual = np.linalg.norm(local) if camera.kind == "fisheye" else local[2]
+        assert actual == pytest.approx(depth)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_controls_move_a_camera_with_a_lens(name: str) -> None:
+    controller = controls(replace(orbit(azimuth=20, elevation=10), **LENSES[name]))
+    before = controller.eye
+    controller.pan(10, 5, *SIZE)
+    controller.wheel(100)
+    assert np.linalg.norm(controller.eye - before) > 0.1
+    controller.frame()
+    camera = controller.camera(*SIZE)
+    assert np.linalg.norm(camera.eye - CENTER) >= 1
+    assert (camera.kind, camera.distortion) == (
+        LENSES[name].get("kind", "pinhole"),
+        LENSES[name].get("distortion"),
+    )

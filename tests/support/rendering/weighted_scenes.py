@@ -1,6 +1,7 @@
 """Small scenes of cells, each for one thing that weighted sums can get wrong."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import Box, Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -247,6 +249,23 @@ def cells_all_around() -> tuple[Scene, Camera]:
     data.cells[:, 0] *= 2
     data.rows[:, 0] = data.cells[:, 0].repeat(5) + np.tile([0, 0.1, -0.1, 0.2, -0.2], 120)
     return Scene([summed(data)]), Camera.panorama((0, 0, 0), width=96)
+
+
+@named
+def cells_through_a_lens() -> tuple[Scene, Camera]:
+    lens = Distortion.of({"k1": -0.2, "k2": 0.03, "p1": 0.01, "p2": -0.02})
+    view = camera()
+    return Scene([summed(celled(100, seed=37, degree=2))]), replace(view, distortion=lens)
+
+
+@named
+def cells_in_a_fisheye() -> tuple[Scene, Camera]:
+    """Some cells are beside the camera, and some behind it."""
+    data = celled(120, seed=38, depth=(-4, 4), size=0.4)
+    data.cells[:, 0] *= 2
+    data.rows[:, 0] = data.cells[:, 0].repeat(5) + np.tile([0, 0.1, -0.1, 0.2, -0.2], 120)
+    lens = Distortion.of({"k1": -0.03, "k2": 0.005})
+    return Scene([summed(data)]), replace(camera(fx=17.0, fy=18.0), kind="fisheye", distortion=lens)
 
 
 @named

@@ -12,6 +12,8 @@ from support.web.pages import packed
 def camera_of(camera: Camera) -> dict[str, Any]:
     names = ("fx", "fy", "cx", "cy", "width", "height", "near", "kind")
     values = {name: getattr(camera, name) for name in names}
+    if camera.distortion is not None:
+        values["distortion"] = camera.distortion.to_dict()
     return {"view": camera.view.ravel().tolist(), **values}
 
 

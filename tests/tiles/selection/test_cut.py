@@ -7,6 +7,7 @@ import pytest
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box, Region, Sphere, ecef
 from gsgen.tiles.prediction.poses import matrix_quaternion
@@ -14,6 +15,7 @@ from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import request_order
 from gsgen.tiles.selection.tile_tree import TileTree
+from references.lenses import lens_pixel
 
 
 def rotation(rng: np.random.Generator) -> np.ndarray:
@@ -34,6 +36,44 @@ def inside_frustum(camera: Camera, points: np.ndarray) -> np.ndarray:
     u, v = camera.fx * x + camera.cx * depth, camera.fy * y + camera.cy * depth
     is_in_image = (u >= 0) & (u <= camera.width * depth) & (v >= 0) & (v <= camera.height * depth)
     return is_in_image & (z >= 0)
+
+
+LENSES = {
+    "barrel": ("pinhole", 300.0, {"k1": -0.3, "k2": 0.05}),
+    "cushion": ("pinhole", 300.0, {"k1": 0.25, "p1": 0.01, "p2": -0.02}),
+    "narrow fisheye": ("fisheye", 200.0, {"k1": -0.02}),
+    "wide fisheye": ("fisheye", 60.0, {"k1": -0.02}),
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_no_box_that_a_lens_sees_is_culled(name: str) -> None:
+    """Points are projected by OpenCV's formulas; a fisheye of more than half a turn culls nothing."""
+    rng = np.random.default_rng(4)
+    kind, focal, values = LENSES[name]
+    kept_count = actual = 0
+    for _ in range(10):
+        camera = replace(
+            random_camera(rng, "pinhole"),
+            kind=kind,
+            fx=focal,
+            fy=focal,
+            distortion=Distortion.of(values),
+        )
+        center, half = random_boxes(rng, 50)
+        points = center[:, None] + np.einsum("nki,nij->nkj", rng.uniform(-1, 1, (50, 100, 3)), half)
+        local = points.reshape(-1, 3) @ camera.view[:3, :3].T + camera.view[:3, 3]
+        rho, z = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+        radius = np.arctan2(rho, z) if kind == "fisheye" else np.where(z > 0, rho / z, np.inf)
+        pixels = np.array([lens_pixel(camera, point) for point in local.tolist()])
+        visible = ((pixels >= 0) & (pixels <= [camera.width, camera.height])).all(axis=1)
+        visible &= radius < camera.ray_limit
+        visible_boxes = visible.reshape(50, 100).any(axis=1)
+        is_met = Frustum.from_camera(camera).intersects(center, half)
+        assert not (visible_boxes & ~is_met).any()
+        kept_count, actual = kept_count + is_met.sum(), actual + visible_boxes.sum()
+    assert actual > 20
+    assert (kept_count == 500) == (name == "wide fisheye")
 
 
 def random_camera(rng: np.random.Generator, kind: str) -> Camera:

@@ -5,7 +5,8 @@
    camera → world, its columns are the camera's axes (+x right, +y down, +z forward), ``position``
    is the camera centre. The principal point is the middle of the image, as in the training.
 3. nerfstudio's viewer: one camera per frame of a video. ``camera_to_world`` is the matrix of an
-   OpenGL camera, sixteen numbers row by row; ``fov`` is the vertical angle in degrees, and
+   OpenGL camera, sixteen numbers row by row; ``fov`` is the vertical angle in degrees of a
+   perspective camera, whose focal length a fisheye has, too, and
    ``render_time`` the time of the scene. The frames between the viewer's keyframes are in the file.
 """
 
@@ -40,6 +41,7 @@ from gsgen.runtime.scene.camera import Camera
 
 _PERSPECTIVE_TYPE: Final = "perspective"
 _PANORAMA_MODEL: Final = "equirectangular"
+_FISHEYE_TYPE: Final = "fisheye"
 
 
 def is_gsgen_camera(document: object) -> bool:
@@ -110,11 +112,10 @@ def read_camera_path(document: Mapping[str, Any], path: str) -> CameraFile:
     """Read the camera of each frame of a nerfstudio camera path, with its ``render_time``."""
     shared_fields = Fields(document)
     kind = text(shared_fields, "camera_type", _PERSPECTIVE_TYPE).lower()
-    if kind not in (_PERSPECTIVE_TYPE, _PANORAMA_MODEL):
-        raise ConfigInvalid(
-            f"camera_type is {kind!r}, expected {_PERSPECTIVE_TYPE} or {_PANORAMA_MODEL}",
-            where=path,
-        )
+    types = (_PERSPECTIVE_TYPE, _FISHEYE_TYPE, _PANORAMA_MODEL)
+    if kind not in types:
+        message = f"camera_type is {kind!r}, expected one of {', '.join(types)}"
+        raise ConfigInvalid(message, where=path)
     frames = shared_fields["camera_path"]
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
@@ -170,6 +171,7 @@ def _path_camera(
             )
         focal = height / 2 / math.tan(math.radians(degrees) / 2)
         values |= {"fx": focal, "fy": focal}
+        values["kind"] = "fisheye" if kind == _FISHEYE_TYPE else "pinhole"
     has_time = fields.get("render_time") is not None
     time = number(fields, "render_time", where) if has_time else None
     return NamedCamera(str(index), camera_at(where, **values), time)

@@ -1,7 +1,8 @@
 """Reads the cameras of COLMAP models: folders with cameras and images as .bin or .txt.
 
 An image has the pose world → camera, as a quaternion (w, x, y, z) and a translation, in the axes of
-``Camera``: +x right, +y down, +z forward (COLMAP's documentation, "Output Format").
+``Camera``: +x right, +y down, +z forward (COLMAP's documentation, "Output Format" and "Camera
+Models").
 """
 
 __all__ = ["COLMAP_FOLDERS", "model_folder", "read_colmap"]
@@ -15,7 +16,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.camera_files import colmap_binary, colmap_text
-from gsgen.runtime.camera_files.colmap_models import PINHOLES, ColmapImage, ColmapLens, parameters
+from gsgen.runtime.camera_files.colmap_models import ColmapImage, ColmapLens, intrinsics
 from gsgen.runtime.camera_files.fields import camera_at
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
@@ -51,13 +52,7 @@ def read_colmap(folder: Path) -> CameraFile:
     cameras = tuple(
         NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered_images
     )
-    used_lenses = {number: lenses[number] for number in sorted({image.lens for image in images})}
-    return CameraFile(
-        path=str(folder),
-        format="a model of COLMAP",
-        cameras=cameras,
-        notes=_lens_notes(used_lenses, folder),
-    )
+    return CameraFile(path=str(folder), format="a model of COLMAP", cameras=cameras)
 
 
 def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> Camera:
@@ -68,7 +63,7 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
             f"the image refers to camera {image.lens}, expected one of {sorted(lenses)[:8]}",
             where=where,
         )
-    fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
+    values = intrinsics(lens.model, lens.values, where)
     view = np.eye(4)
     length = math.hypot(*image.quaternion)
     if not 0 < length < math.inf:
@@ -76,20 +71,4 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
         raise ConfigInvalid(message, where=where)
     view[:3, :3] = rotation_matrix(np.array([image.quaternion]) / length)[0]
     view[:3, 3] = image.translation
-    return camera_at(
-        where, view=view, fx=fx, fy=fy, cx=cx, cy=cy, width=lens.width, height=lens.height
-    )
-
-
-def _lens_notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
-    distorted_cameras = [
-        f"{number} ({lens.model})"
-        for number, lens in lenses.items()
-        if lens.model not in PINHOLES and any(parameters(lens.model, lens.values, "")[4])
-    ]
-    if not distorted_cameras:
-        return ()
-    return (
-        f"{folder}: the lens distortion of camera {', '.join(distorted_cameras[:8])} is ignored; "
-        "COLMAP's image_undistorter makes images that match.",
-    )
+    return camera_at(where, view=view, width=lens.width, height=lens.height, **values)

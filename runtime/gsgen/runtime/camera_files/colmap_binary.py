@@ -18,6 +18,7 @@ from gsgen.runtime.camera_files.colmap_models import (
     MODEL_NAMES,
     ColmapImage,
     ColmapLens,
+    unsupported_model,
 )
 
 _LENS_STRUCT: Final = struct.Struct("<iiQQ")  # number, model, width, height
@@ -39,6 +40,8 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
                     f"camera {index} has the model {model}, expected 0 to {len(MODEL_NAMES) - 1}",
                     where=str(path),
                 )
+            if MODEL_NAMES[model] not in CAMERA_MODELS:
+                raise unsupported_model(MODEL_NAMES[model], str(path))
             expected = len(CAMERA_MODELS[MODEL_NAMES[model]].split())
             values = data.read_record(struct.Struct(f"<{expected}d"))
             lens_by_number[number] = ColmapLens(MODEL_NAMES[model], width, height, values)

@@ -1,11 +1,19 @@
 """COLMAP's camera models with their parameters, and the records of COLMAP's files."""
 
-__all__ = ["CAMERA_MODELS", "MODEL_NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
+__all__ = [
+    "CAMERA_MODELS",
+    "MODEL_NAMES",
+    "ColmapImage",
+    "ColmapLens",
+    "intrinsics",
+    "unsupported_model",
+]
 
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.scene.distortion import Distortion
 
 CAMERA_MODELS: Final = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -19,11 +27,19 @@ CAMERA_MODELS: Final = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
+    "RAD_TAN_THIN_PRISM_FISHEYE": "fx fy cx cy k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3",
+    "SIMPLE_DIVISION": "f cx cy k",
+    "DIVISION": "fx fy cx cy k",
+    "SIMPLE_FISHEYE": "f cx cy",
+    "FISHEYE": "fx fy cx cy",
+    "EUCM": "fx fy cx cy alpha beta",
 }
-"""Parameter names of each camera model; the index of a model is its number in binary files."""
+"""Parameter names of each camera model that is a lens in front of a plane."""
 
-MODEL_NAMES: Final = tuple(CAMERA_MODELS)
-PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
+MODEL_NAMES: Final = (*CAMERA_MODELS, "EQUIRECTANGULAR")
+"""The names of all camera models, in the order of their numbers in binary files."""
+_NOT_DRAWN: Final = ("FOV", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM")
+_OPENCV_NAMES: Final = {"k": "k1", "sx1": "s1", "sy1": "s2"}
 
 
 @final
@@ -51,24 +67,35 @@ class ColmapImage:
     lens: int
 
 
-def parameters(
-    model: str, values: tuple[float, ...], where: str
-) -> tuple[float, float, float, float, tuple[float, ...]]:
-    """Return fx, fy, cx, cy and the distortion coefficients of a COLMAP camera model."""
-    if model not in CAMERA_MODELS or "FISHEYE" in model or model == "FOV":
-        raise ConfigInvalid(
-            f"the camera model is {model}, expected one that a pinhole approximates",
-            where=where,
-            hint="COLMAP's image_undistorter converts images to pinhole cameras.",
-        )
+def unsupported_model(model: str, where: str) -> ConfigInvalid:
+    """Return the error for a camera model of COLMAP that the renderer does not draw."""
+    drawn_models = [name for name in CAMERA_MODELS if name not in _NOT_DRAWN]
+    return ConfigInvalid(
+        f"the camera model is {model}, expected one of {', '.join(drawn_models)}",
+        where=where,
+        hint="COLMAP's image_undistorter converts images to pinhole cameras.",
+    )
+
+
+def intrinsics(model: str, values: tuple[float, ...], where: str) -> dict[str, Any]:
+    """Return the attributes of ``Camera`` that a COLMAP camera model and its parameters determine."""
+    if model not in CAMERA_MODELS or model in _NOT_DRAWN:
+        raise unsupported_model(model, where)
     names = CAMERA_MODELS[model].split()
     if len(values) != len(names):
         raise ConfigInvalid(
             f"{model} has {len(values)} parameters, expected {len(names)}: {CAMERA_MODELS[model]}",
             where=where,
         )
-    by_name = dict(zip(names, values, strict=True))
-    fx = by_name.get("fx", by_name.get("f", 0.0))
-    fy = by_name.get("fy", by_name.get("f", 0.0))
-    distortion = tuple(by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy"))
-    return fx, fy, by_name["cx"], by_name["cy"], distortion
+    by_name = {
+        _OPENCV_NAMES.get(name, name): value for name, value in zip(names, values, strict=True)
+    }
+    focal = by_name.get("f", 0.0)
+    return {
+        "fx": by_name.get("fx", focal),
+        "fy": by_name.get("fy", focal),
+        "cx": by_name["cx"],
+        "cy": by_name["cy"],
+        "kind": "fisheye" if "FISHEYE" in model else "pinhole",
+        "distortion": Distortion.of(by_name, is_rational=model == "FULL_OPENCV"),
+    }

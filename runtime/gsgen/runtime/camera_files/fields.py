@@ -6,6 +6,7 @@
 __all__ = [
     "Fields",
     "camera_at",
+    "coefficients",
     "matrix",
     "number",
     "pixel_count",
@@ -100,6 +101,11 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
     if not is_number or not abs(value) <= 1e300:  # type: ignore[arg-type]
         raise ConfigInvalid(_field_mismatch_text(document, name, "a finite number"), where=where)
     return float(value)  # type: ignore[arg-type]
+
+
+def coefficients(document: Mapping[str, Any], names: Iterable[str], where: str) -> dict[str, float]:
+    """Read JSON fields of a camera file that are finite numbers, or null; absent ones are left out."""
+    return {name: number(document, name, where) for name in names if document.get(name) is not None}
 
 
 def pixel_count(document: Mapping[str, Any], name: str, where: str) -> int:

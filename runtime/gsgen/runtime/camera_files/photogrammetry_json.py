@@ -5,6 +5,8 @@
    longer side, the latter from the image's middle (OpenSfM's documentation, "Geometric Models").
 2. openMVG, ``sfm_data.json``: ``rotation`` maps world → camera, ``center`` is the camera centre;
    intrinsics are in pixels. A view without a pose was not located.
+
+Both have the distortions of OpenCV (openMVG's ``Camera_Pinhole_Brown.hpp``, ``Camera_Pinhole_Fisheye.hpp``).
 """
 
 __all__ = ["is_openmvg", "is_opensfm", "read_openmvg", "read_opensfm"]
@@ -19,6 +21,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
+    coefficients,
     matrix,
     number,
     pixel_count,
@@ -28,8 +31,23 @@ from gsgen.runtime.camera_files.fields import (
 )
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opencv
+from gsgen.runtime.scene.distortion import Distortion
 
-_PERSPECTIVE_TYPES: Final = ("perspective", "brown", "simple_radial", "radial")
+_LENS_KINDS: Final = {
+    "perspective": "pinhole",
+    "brown": "pinhole",
+    "simple_radial": "pinhole",
+    "radial": "pinhole",
+    "fisheye": "fisheye",
+    "fisheye_opencv": "fisheye",
+}
+_LENS_COEFFICIENTS: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
+_OPENMVG_DISTORTIONS: Final = {
+    "disto_k1": ("k1",),
+    "disto_k3": ("k1", "k2", "k3"),
+    "disto_t2": ("k1", "k2", "k3", "p1", "p2"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
 _SPHERICAL_TYPES: Final = ("spherical", "equirectangular")
 _PRINCIPAL_POINT_FIELDS: Final = {"c_x", "c_y"}
 
@@ -78,17 +96,20 @@ def _shot_camera(shot: Fields, lens: Fields, where: str) -> Any:
     width, height = pixel_count(lens, "width", where), pixel_count(lens, "height", where)
     longer_side = max(width, height)
     kind = text(lens, "projection_type", "perspective")
+    values: dict[str, Any] = {}
     view = np.eye(4)
     view[:3, :3] = _axis_angle_matrix(matrix(shot, "rotation", (3,), where))
     view[:3, 3] = matrix(shot, "translation", (3,), where)
     if kind in _SPHERICAL_TYPES:
-        values = {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
-    elif kind in _PERSPECTIVE_TYPES:
+        values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
+    elif kind in _LENS_KINDS:
         names = ("focal", "focal") if "focal" in lens else ("focal_x", "focal_y")
         fx, fy = (number(lens, name, where) * longer_side for name in names)
-        values = {"fx": fx, "fy": fy}
+        lens_coefficients = coefficients(lens, _LENS_COEFFICIENTS, where)
+        values = {"fx": fx, "fy": fy, "kind": _LENS_KINDS[kind]}
+        values["distortion"] = Distortion.of(lens_coefficients)
     else:
-        raise _unsupported_lens(kind, (*_PERSPECTIVE_TYPES, *_SPHERICAL_TYPES), where)
+        raise _unsupported_lens(kind, (*_LENS_KINDS, *_SPHERICAL_TYPES), where)
     cx, cy = (
         number(lens, name, where) * longer_side if name in lens else 0.0
         for name in sorted(_PRINCIPAL_POINT_FIELDS)
@@ -145,13 +166,26 @@ def _view_camera(pose: Fields, lens: Fields, where: str) -> Any:
     axes = matrix(pose, "rotation", (3, 3), where)
     view = view_from_opencv(axes.T, matrix(pose, "center", (3,), where))
     if "focal_length" not in lens:
-        raise _unsupported_lens("spherical", ("pinhole",), where)
-    if "fisheye" in lens:
-        raise _unsupported_lens("fisheye", ("pinhole",), where)
+        raise _unsupported_lens("spherical", ("pinhole", "fisheye"), where)
+    values = dict[str, float]()
+    for field, names in _OPENMVG_DISTORTIONS.items():
+        if field in lens:
+            values |= zip(names, matrix(lens, field, (len(names),), where).tolist(), strict=True)
     cx, cy = matrix(lens, "principal_point", (2,), where).tolist()
     focal = number(lens, "focal_length", where)
     width, height = pixel_count(lens, "width", where), pixel_count(lens, "height", where)
-    return camera_at(where, view=view, fx=focal, fy=focal, cx=cx, cy=cy, width=width, height=height)
+    return camera_at(
+        where,
+        view=view,
+        fx=focal,
+        fy=focal,
+        cx=cx,
+        cy=cy,
+        width=width,
+        height=height,
+        kind="fisheye" if "fisheye" in lens else "pinhole",
+        distortion=Distortion.of(values),
+    )
 
 
 def _records(entries: object, path: str) -> Iterable[tuple[object, dict[str, Any]]]:

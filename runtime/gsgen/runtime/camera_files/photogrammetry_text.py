@@ -3,7 +3,8 @@
 1. Bundler: rotation and translation map world → camera, whose axes are those of OpenGL; the
    principal point is the middle of the image. Names are in ``list.txt`` beside the file.
 2. Metashape ("Export cameras", Agisoft XML): ``transform`` is camera → chunk in the axes of
-   ``Camera``; ``cx`` and ``cy`` are offsets from the middle of the image, in pixels.
+   ``Camera``; ``cx`` and ``cy`` are offsets from the middle of the image, in pixels. A fisheye is
+   equidistant; ``b1`` is added to the horizontal focal length, and a skew ``b2`` is not used.
 """
 
 __all__ = ["is_bundler", "is_metashape", "read_bundler", "read_metashape"]
@@ -19,6 +20,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
+    coefficients,
     matrix,
     number,
     pixel_count,
@@ -27,12 +29,27 @@ from gsgen.runtime.camera_files.fields import (
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.picture_size import picture_size
 from gsgen.runtime.camera_files.poses import view_from_opencv
+from gsgen.runtime.scene.distortion import Distortion
 
 _BUNDLER_FIRST_LINE: Final = b"# Bundle file"
 _CAMERA_NUMBERS: Final = 15  # focal length, two coefficients of distortion, rotation, translation
 _LARGEST_NUMBER: Final = 1e300
 _OPENCV_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0])
-_FRAME_SENSORS: Final = ("frame", "")
+_SENSOR_KINDS: Final = {
+    "frame": "pinhole",
+    "": "pinhole",
+    "fisheye": "fisheye",
+    "equidistant_fisheye": "fisheye",
+}
+# Metashape's P1 and P2 are OpenCV's p2 and p1 ("Camera models" of its manual).
+_METASHAPE_COEFFICIENTS: Final = {
+    "k1": "k1",
+    "k2": "k2",
+    "k3": "k3",
+    "k4": "k4",
+    "p1": "p2",
+    "p2": "p1",
+}
 
 
 def is_bundler(content: bytes) -> bool:
@@ -75,14 +92,12 @@ def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None
         view[:3, :3] = _OPENCV_FROM_OPENGL @ rows[index, 3:12].reshape(3, 3)
         view[:3, 3] = _OPENCV_FROM_OPENGL @ rows[index, 12:]
         middle = {"cx": width / 2, "cy": height / 2, "width": width, "height": height}
-        cameras.append(
-            NamedCamera(names[index], camera_at(where, view=view, fx=focal, fy=focal, **middle))
-        )
+        lens = Distortion.of({"k1": float(rows[index, 1]), "k2": float(rows[index, 2])})
+        camera = camera_at(where, view=view, fx=focal, fy=focal, distortion=lens, **middle)
+        cameras.append(NamedCamera(names[index], camera))
     notes: tuple[str, ...] = ()
     if len(located_indices) < count:
         notes += (f"{path}: {count - len(located_indices)} of {count} cameras were not located",)
-    if rows[located_indices, 1:3].any():
-        notes += (f"{path}: the lens distortion is ignored; undistorted pictures match",)
     return CameraFile(
         path=str(path), format="a bundle file of Bundler", cameras=tuple(cameras), notes=notes
     )
@@ -164,15 +179,20 @@ def _metashape_camera(
     values: dict[str, Any] = {"view": view, "width": width, "height": height}
     if kind == "spherical":
         values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
-    elif kind in _FRAME_SENSORS:
+    elif kind in _SENSOR_KINDS:
         fx, fy = (
             number(calibration, f"f{axis}" if f"f{axis}" in calibration else "f", where)
             for axis in "xy"
         )
-        values |= {"fx": fx, "fy": fy}
+        found_coefficients = coefficients(calibration, _METASHAPE_COEFFICIENTS, where)
+        values |= {"fx": fx + coefficients(calibration, ["b1"], where).get("b1", 0.0), "fy": fy}
+        values["distortion"] = Distortion.of(
+            {_METASHAPE_COEFFICIENTS[name]: value for name, value in found_coefficients.items()}
+        )
+        values["kind"] = _SENSOR_KINDS[kind]
     else:
         raise ConfigInvalid(
-            f"has a sensor of type {kind}, expected frame or spherical",
+            f"has a sensor of type {kind}, expected frame, fisheye, equidistant_fisheye or spherical",
             where=where,
             hint="Undistort the photos in Metashape, and export the cameras of the result.",
         )

@@ -2,9 +2,10 @@
 
 ``transform_matrix`` is camera → world of an OpenGL camera: +x right, +y up, +z backward. The
 intrinsics, of all frames or of one, are pixels (``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h``) or
-an angle of view (``camera_angle_x``, ``camera_angle_y``). ``time`` is the time of a frame's scene
-(D-NeRF, nerfstudio). Documented by nerfstudio ("Data
-conventions") and by Instant-NGP ("Tips for training NeRF models").
+an angle of view (``camera_angle_x``, ``camera_angle_y``). Lens distortion is in OpenCV's terms, k1 to
+k4, p1 and p2; without k5 and k6, k4 is of the eighth power of the radius, as in nerfstudio. ``time``
+is the time of a frame's scene (D-NeRF, nerfstudio). Documented by nerfstudio ("Data conventions")
+and by Instant-NGP ("Tips for training NeRF models").
 """
 
 __all__ = ["is_transforms", "read_transforms"]
@@ -18,6 +19,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
+    coefficients,
     matrix,
     number,
     pixel_count,
@@ -27,17 +29,22 @@ from gsgen.runtime.camera_files.fields import (
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.picture_size import picture_size
 from gsgen.runtime.camera_files.poses import view_from_opengl
+from gsgen.runtime.scene.camera import Kind
+from gsgen.runtime.scene.distortion import Distortion
 
-_SUPPORTED_MODELS: Final = (
+_PINHOLE_MODELS: Final = (
     "PERSPECTIVE",
     "PINHOLE",
     "SIMPLE_PINHOLE",
     "SIMPLE_RADIAL",
     "RADIAL",
     "OPENCV",
+    "FULL_OPENCV",
 )
 _PANORAMA_MODEL: Final = "EQUIRECTANGULAR"
-_DISTORTION_FIELDS: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
+_FISHEYE_MODELS: Final = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_DISTORTION_FIELDS: Final = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_F_THETA_FIELD: Final = "ftheta_p0"  # of Instant-NGP's f-theta lenses
 
 
 def is_transforms(document: object) -> bool:
@@ -61,7 +68,6 @@ def read_transforms(
         raise ConfigInvalid("has no frames, expected at least one", where=path)
     objects = [shared_fields]
     cameras: list[NamedCamera] = []
-    distorted_count = 0
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"
         if not isinstance(frame, dict):
@@ -71,14 +77,7 @@ def read_transforms(
         fields = Fields(frame, shared_fields)
         objects.append(fields)
         cameras.append(_camera(fields, index, where, _frame_size(fields, path, where, size)))
-        coefficients = [fields.get(name) for name in _DISTORTION_FIELDS]
-        distorted_count += any(value not in (None, 0) for value in coefficients)
     notes = unused_fields(path, objects)
-    if distorted_count:
-        notes += (
-            f"{path}: the lens distortion of {distorted_count} of {len(frames)} frames is left out; "
-            "their pictures need to be undistorted to match.",
-        )
     return CameraFile(path=path, format="transforms.json", cameras=tuple(cameras), notes=notes)
 
 
@@ -94,16 +93,9 @@ def _frame_size(
 def _camera(fields: Fields, index: int, where: str, size: tuple[int, int]) -> NamedCamera:
     width, height = size
     to_world = matrix(fields, "transform_matrix", _matrix_shape(fields), where)
-    model = text(fields, "camera_model", "PERSPECTIVE").upper()
-    if fields.get("is_fisheye") or model not in (*_SUPPORTED_MODELS, _PANORAMA_MODEL):
-        raise ConfigInvalid(
-            f"has the camera model {model if not fields.get('is_fisheye') else 'fisheye'}, "
-            "which no pinhole camera approximates",
-            where=where,
-            hint=f"Supported: {', '.join(_SUPPORTED_MODELS)}, {_PANORAMA_MODEL}. Undistort the pictures first.",
-        )
+    kind, model = _kind_and_model(fields, where)
     fx, fy = _focal_length(fields, "x", where, size), _focal_length(fields, "y", where, size)
-    scale = math.pi if model == _PANORAMA_MODEL else 1.0  # a panorama has fl / π pixels per radian
+    scale = math.pi if kind == "panorama" else 1.0  # a panorama has fl / π pixels per radian
     camera = camera_at(
         where,
         view=view_from_opengl(to_world),
@@ -113,10 +105,42 @@ def _camera(fields: Fields, index: int, where: str, size: tuple[int, int]) -> Na
         cy=number(fields, "cy", where) if "cy" in fields else height / 2,
         width=width,
         height=height,
-        kind="panorama" if model == _PANORAMA_MODEL else "pinhole",
+        kind=kind,
+        distortion=None if kind == "panorama" else _distortion(fields, model, kind, where),
     )
     time = number(fields, "time", where) if fields.get("time") is not None else None
     return NamedCamera(text(fields, "file_path", str(index)), camera, time)
+
+
+def _kind_and_model(fields: Fields, where: str) -> tuple[Kind, str]:
+    """Return the kind of a frame's camera, and the name of its camera model."""
+    model = text(fields, "camera_model", "PERSPECTIVE").upper()
+    kinds: dict[str, Kind] = {
+        **dict.fromkeys(_PINHOLE_MODELS, "pinhole"),
+        **dict.fromkeys(_FISHEYE_MODELS, "fisheye"),
+        _PANORAMA_MODEL: "panorama",
+    }
+    if _F_THETA_FIELD in fields or model not in kinds:
+        raise ConfigInvalid(
+            f"has the camera model {'f-theta' if _F_THETA_FIELD in fields else model}, "
+            f"expected one of {', '.join(kinds)}",
+            where=where,
+            hint="Undistort the pictures first, and give the cameras of the undistorted pictures.",
+        )
+    kind = "fisheye" if fields.get("is_fisheye") else kinds[model]
+    if kind == "fisheye" and "fl_x" not in fields and "fl_y" not in fields:
+        message = "has a fisheye without fl_x and fl_y, expected its focal length in pixels"
+        raise ConfigInvalid(message, where=where)
+    return kind, model
+
+
+def _distortion(fields: Fields, model: str, kind: Kind, where: str) -> Distortion:
+    """Return a frame's lens distortion; k5 and k6 exist in OpenCV's rational model alone."""
+    values = coefficients(fields, _DISTORTION_FIELDS, where)
+    has_divisor = any(values.get(name) for name in ("k5", "k6"))
+    if kind == "fisheye" and has_divisor:
+        raise ConfigInvalid("has a fisheye with k5 or k6, expected k1 to k4", where=where)
+    return Distortion.of(values, is_rational=model == "FULL_OPENCV" or has_divisor)
 
 
 def _matrix_shape(document: Mapping[str, Any]) -> tuple[int, int]:

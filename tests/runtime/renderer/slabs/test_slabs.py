@@ -59,6 +59,17 @@ def test_panorama_in_bands_and_slabs_is_unchanged(renderers: tuple[Renderer, Ren
     assert np.array_equal(small.render(scene, view).rgba, whole.render(scene, view).rgba)
 
 
+@pytest.mark.parametrize("name", ["lens_cushion", "fisheye_prism"])
+def test_lens_in_bands_and_slabs_is_unchanged(
+    renderers: tuple[Renderer, Renderer], name: str
+) -> None:
+    view = SCENES[name]()[1].resized(60, 70)
+    whole, small = renderers
+    expected = whole.render(crowd(), view, outputs=OUTPUTS)
+    assert_same_images(small.render(crowd(), view, outputs=OUTPUTS), expected)
+    assert small._plan.image.size == (60, 70 % 32)  # of the last band
+
+
 def test_arranged_rows_keep_their_ids(
     renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -45,8 +45,7 @@ export function turnTowards(forward, up) {
 
 /** Return the world position at a pixel and a depth of a pinhole image. @param {Camera} camera */
 export function unproject(camera, x, y, depth) {
-  const across = (x - camera.cx) / camera.fx;
-  const down = (y - camera.cy) / camera.fy;
+  const [across, down] = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy];
   const local = [across * depth, down * depth, depth];
   return plus(eyeOf(camera), 1, times(transposed(linearPart(camera.view)), local));
 }

@@ -1,5 +1,6 @@
 /** Draws sets of Gaussians from a camera into an image in GPU memory. */
 
+import { failing } from "./errors.js";
 import { PlanHost } from "./host.js";
 import { readBuffer, readingBuffer } from "./gpu_buffers.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
@@ -78,9 +79,8 @@ export class Renderer {
     encodeLayers?.(encoder, host);
     host.encode(encoder);
     const reader = this._freeReader();
-    if (reader) {
-      encoder.copyBufferToBuffer(host.input("counts"), 0, reader.buffer, 0, plans.counts.BYTES);
-    }
+    const counts = host.input("counts");
+    if (reader) encoder.copyBufferToBuffer(counts, 0, reader.buffer, 0, plans.counts.BYTES);
     device.queue.submit([encoder.finish()]);
     if (reader) this._read(reader);
   }
@@ -97,9 +97,10 @@ export class Renderer {
   }
 
   async _configure(camera, outputs, layers) {
-    const { width, height } = camera;
-    const panorama = camera.kind === "panorama";
-    const [deep, pairs] = [this._deep, this._pairs];
+    const { width, height, kind, distortion } = camera;
+    const lens = kind === "fisheye" ? "a fisheye" : distortion && "lens distortion";
+    if (lens) failing("camera")(`${lens} is not drawn in pages`, "Draw it with `gsgen render`.");
+    const [panorama, deep, pairs] = [kind === "panorama", this._deep, this._pairs];
     const weighted = this._sets.some(({ buffers }) => buffers.weighted);
     const shape = { outputs, panorama, deep, weighted, layers, width, height, pairs };
     const key = JSON.stringify([shape, this._version]);
