@@ -17,10 +17,11 @@ from support.rendering.mesh_scenes import ball
 from support.rendering.splat_scenes import LENSES, SCENES, cloud, single
 
 
-def dots(positions: np.ndarray) -> SplatData:
+def dots(positions: np.ndarray, size: float = 1e-3) -> SplatData:
+    """Balls of an angular size, in radians."""
     rows = np.zeros((len(positions), 10), np.float32)
     rows[:, :3], rows[:, 3] = positions, 0.9
-    rows[:, [4, 7, 9]] = (1e-3 * np.linalg.norm(positions, axis=1, keepdims=True)) ** 2
+    rows[:, [4, 7, 9]] = (size * np.linalg.norm(positions, axis=1, keepdims=True)) ** 2
     return SplatData(rows, np.ones((len(rows), 3), np.float32), "rgb")
 
 
@@ -34,7 +35,7 @@ def test_dots_are_where_the_formulas_put_them(renderer: Renderer, name: str) -> 
     camera = replace(SCENES[name]()[1], view=np.eye(4)).scaled(244, 188)
     rng = np.random.default_rng(3)
     checked = 0
-    for direction in rng.normal(size=(60, 3)) * (1, 1, 0.7):
+    for direction in rng.normal(size=(80, 3)) * (1, 1, 1.3):
         position = 4 * direction / np.linalg.norm(direction)
         pixel = np.array(lens_pixel(camera, position.tolist()))
         rho, z = np.hypot(*position[:2]), position[2]
@@ -83,7 +84,7 @@ def test_nearer_gaussians_cover_farther_ones_behind_the_camera(renderer: Rendere
         np.eye(4), fx=40.0, fy=40.0, cx=8.0, cy=64.0, width=160, height=128, kind="fisheye"
     )
     direction = np.array([np.sin(2.5), 0, np.cos(2.5)])
-    data = dots(np.stack([6 * direction, 3 * direction]))
+    data = dots(np.stack([6 * direction, 3 * direction]), size=0.05)
     data.appearance[:] = [[1, 0, 0], [0, 1, 0]]
     frame = renderer.render(Scene([data]), camera, outputs=("color", "depth"))
     assert frame.ids[64, int(8 + 40 * 2.5)] == 1

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsgen.runtime.errors import SceneInvalid
@@ -41,6 +41,7 @@ def camera_of(kind: str, lens: Distortion) -> Camera:
     return Camera(np.eye(4), fx=focal, fy=1.1 * focal, **SIZE, kind=kind, distortion=lens)  # type: ignore[arg-type]
 
 
+@settings(max_examples=30, deadline=None)
 @given(
     kind=st.sampled_from(["pinhole", "fisheye"]),
     lens=LENSES,
@@ -76,6 +77,7 @@ def test_projected_gaussians_have_the_derivative_of_the_lens_formulas(
     )
 
 
+@settings(max_examples=30, deadline=None)
 @given(kind=st.sampled_from(["pinhole", "fisheye"]), lens=SYMMETRIC_LENSES)
 def test_distance_from_the_axis_grows_up_to_the_ray_limit(kind: str, lens: Distortion) -> None:
     camera = camera_of(kind, lens)
@@ -95,6 +97,7 @@ def _has_pole(lens: Distortion, limit: float) -> bool:
     return abs(1 + sum(d * s ** (power + 1) for power, d in enumerate(lens.divisor))) < 1e-3
 
 
+@settings(max_examples=30, deadline=None)
 @given(kind=st.sampled_from(["pinhole", "fisheye"]), lens=LENSES, seed=st.integers(0, 1000))
 def test_lens_turns_no_area_over_within_its_range(kind: str, lens: Distortion, seed: int) -> None:
     limit = lens.fold_radius(3.0 if kind == "fisheye" else 50.0)
@@ -109,6 +112,7 @@ def test_lens_turns_no_area_over_within_its_range(kind: str, lens: Distortion, s
     assert (np.linalg.det(lens.jacobian(points)) > 0).all()
 
 
+@settings(max_examples=30, deadline=None)
 @given(lens=LENSES, seed=st.integers(0, 1000))
 def test_undistorted_points_are_those_that_the_lens_moves_there(
     lens: Distortion, seed: int

@@ -25,12 +25,11 @@ from gsgen.runtime.errors import SceneInvalid
 Points = Float[np.ndarray, "n 2"]
 
 _LENGTHS: Final = {"radial": 4, "divisor": 3, "tangential": 2, "prism": 2}
-_DIRECTIONS: Final = 64  # in which a lens that is not symmetric is searched for folds
-_SEARCH_RADII: Final = 2048
+_DIRECTIONS: Final = 32  # in which a lens that is not symmetric is searched for folds
+_SEARCH_RADII: Final = 1024
 _HALVINGS: Final = 60
 _NEWTON_STEPS: Final = 20
 _BORDER_POINTS: Final = 65  # of each side of an image, whose rays bound those of the image
-_REAL_ROOT_TOLERANCE: Final = 1e-9
 _LARGEST_COEFFICIENT: Final = 1e30  # float32 holds it
 
 
@@ -208,20 +207,31 @@ def _is_finite(value: object) -> bool:
 
 @lru_cache(maxsize=256)
 def _fold_radius(lens: Distortion, limit: float) -> float:
-    # Step 1: the symmetric part folds where the derivative of the radius is zero: at a root.
-    top, bottom, s = lens._numerator, lens._denominator, Polynomial([0.0, 1.0])
-    derivative = (top + 2 * s * top.deriv()) * bottom - 2 * s * top * bottom.deriv()
-    roots = np.concatenate([derivative.trim().roots(), bottom.trim().roots()])
-    is_real = np.abs(roots.imag) <= _REAL_ROOT_TOLERANCE * np.abs(roots)
-    squares = roots.real[is_real & (roots.real > 0)]
-    radius = min(limit, float(np.sqrt(squares.min(initial=limit**2))))
-    if not any((*lens.tangential, *lens.prism)):
-        return radius
-    # Step 2: with the other terms, search all directions up to there; steps are even in the angle.
-    radii = np.tan(np.linspace(0, math.atan(radius), _SEARCH_RADII))
-    angles = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
+    # Step 1: find the first of many radii, even in the angle, at which the lens folds.
+    count = _DIRECTIONS if any((*lens.tangential, *lens.prism)) else 1
+    angles = np.arange(count) * 2 * np.pi / count
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
-    points = radii[:, None, None] * directions
-    determinant = np.linalg.det(lens.jacobian(points.reshape(-1, 2))).reshape(points.shape[:2])
-    is_folded = ~(determinant > 0).all(axis=1)
-    return float(radii[max(int(is_folded.argmax()) - 1, 0)]) if is_folded.any() else radius
+    radii = np.tan(np.linspace(0, math.atan(limit), _SEARCH_RADII))
+    is_folded = _folds_at(lens, radii, directions)
+    if not is_folded.any():
+        return limit
+    # Step 2: halve the interval before it.
+    last = int(is_folded.argmax())
+    low, high = float(radii[last - 1]), float(radii[last])
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if _folds_at(lens, np.array([middle]), directions)[0]:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def _folds_at(lens: Distortion, radii: np.ndarray, directions: Points) -> np.ndarray:
+    """Return whether the derivative's determinant, or the divisor, is not positive at radii."""
+    points = (radii[:, None, None] * directions).reshape(-1, 2)
+    with np.errstate(all="ignore"):  # a radius may be that of a pole
+        (uu, vu), (uv, vv) = lens.jacobian(points).T
+        determinant = (uu * vv - uv * vu).reshape(len(radii), len(directions))
+        is_valid = (determinant > 0).all(axis=1) & (lens._denominator(radii * radii) > 0)
+    return np.asarray(~is_valid)
