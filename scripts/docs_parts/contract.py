@@ -8,7 +8,7 @@ from docs_parts.rules import ours
 from docs_parts.tables import code, table
 from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.fields.json_schema import to_json
-from gsgen.contract.spec.fields.roles import ROLES
+from gsgen.contract.spec.fields.roles import ROLES, shapes_of
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, CELL_FIELDS, FIELDS, WORD_BYTES
 from gsgen.contract.spec.manifest import (
     Bounds,
@@ -44,7 +44,7 @@ def roles(kind: str) -> str:
         (
             f"`{role.name}`",
             " or ".join(role.dtype),
-            " or ".join(f"[{', '.join(map(str, shape))}]" for shape in role.shapes),
+            " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes_of(role, kind)),
             "required" if role.needs_range else "optional",
             code(role.conventions) or "–",
             role.summary,

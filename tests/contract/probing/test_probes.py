@@ -8,7 +8,10 @@ from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.manifest import (
     Bounds,
     FutureOutput,
+    ImageOutput,
     Input,
+    PostProcessManifest,
+    PostProcessOutputs,
     Space,
     TrajectoryManifest,
     TrajectoryOutputs,
@@ -29,6 +32,9 @@ SHAPES = {
     "root_rotation": (3, 3),
     "appearance_id": (1,),
     "control": (2,),
+    "image": (2, 3, 8, 12),
+    "image_view": (2, 4, 4),
+    "image_intrinsics": (2, 3, 3),
 }
 DTYPES = {
     name: "int32" if name in ("frame_index", "appearance_id") else "float32" for name in SHAPES
@@ -39,6 +45,7 @@ RANGES = {
     "appearance_id": (3.0, 4.0),
     "shape": (-2.0, 2.0),
     "control": (5.0, 6.0),
+    "image": (-1.0, 1.0),
 }
 
 
@@ -46,6 +53,14 @@ def manifest_with_roles(*roles, **changes):
     """A manifest with one input for each role, of the role's name."""
     inputs = tuple(Input(name=role, role=role, range=RANGES.get(role)) for role in roles)
     return replace(manifest_of(4), inputs=inputs, **changes)
+
+
+def post_process_manifest():
+    """A manifest of a model that enhances a picture."""
+    inputs = (Input(name="image", role="image"),)
+    return PostProcessManifest(
+        name="enhance", inputs=inputs, outputs=PostProcessOutputs(ImageOutput("output"))
+    )
 
 
 def sampled(manifest, **changes):
@@ -241,3 +256,45 @@ def test_dependency_probes_change_the_inputs_of_one_role_alone():
             for name in shapes:
                 source = other if name in changed else base
                 assert variant.inputs[name] is source.inputs[name]
+
+
+def test_pictures_fill_their_range_and_their_spectrum_falls():
+    size = 64
+    pictures = values("image", shapes={"image": (2, 3, size, size)})
+    assert np.abs(pictures).max() <= 1
+    assert (pictures.max(axis=(2, 3, 4)) - pictures.min(axis=(2, 3, 4)) > 0.8).all()
+    assert np.ptp(pictures.reshape(len(pictures), -1), axis=0).min() > 0.05
+    energy = np.abs(np.fft.fft2(pictures - pictures.mean(axis=(3, 4), keepdims=True))) ** 2
+    frequencies = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(size, 1 / size)]))
+    bands = [
+        energy[..., (frequencies >= low) & (frequencies < 2 * low)].sum() for low in (0.7, 2.8, 11)
+    ]
+    assert bands[0] > 2 * bands[1] > 4 * bands[2]
+
+
+def test_pictures_of_a_post_process_model_are_noise_as_before():
+    manifest = post_process_manifest()
+    (probe, *_) = sampled(manifest, shapes={"image": (1, 3, 16, 16)})
+    expected = np.random.default_rng([0, 0]).random((1, 3, 16, 16)).astype(np.float32)
+    np.testing.assert_array_equal(probe.inputs["image"], expected)
+
+
+@pytest.mark.parametrize("order", ["column", "row"])
+def test_cameras_of_pictures_look_at_the_origin_whatever_the_bounds(order):
+    bounds = Bounds((90.0, 90.0, 90.0), (110.0, 110.0, 110.0))
+    roles = ("image", "image_view", "image_intrinsics")
+    manifest = manifest_with_roles(*roles, bounds=bounds, space=Space(matrix_order=order))
+    for probe in sampled(manifest):
+        views = probe.inputs["image_view"].astype(np.float64)
+        matrices = views.swapaxes(1, 2) if order == "column" else views
+        rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
+        np.testing.assert_allclose(
+            rotations @ rotations.swapaxes(1, 2), np.tile(np.eye(3), (2, 1, 1)), atol=1e-6
+        )
+        np.testing.assert_allclose(translations[:, :2], 0, atol=1e-5)
+        assert (translations[:, 2] > 3).all()
+        assert np.abs(rotations[0] - rotations[1]).max() > 0.1
+        for matrix in probe.inputs["image_intrinsics"]:
+            assert matrix[0, 0] == matrix[1, 1] > 0
+            assert matrix[:2, 2].tolist() == [6, 4]
+            assert matrix[2].tolist() == [0, 0, 1]

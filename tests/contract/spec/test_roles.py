@@ -1,7 +1,16 @@
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES, matching_shape, role
+from gsgen.contract.spec.fields.roles import (
+    GENERATOR,
+    MANIFEST_KINDS,
+    POST_PROCESS,
+    ROLES,
+    matching_shape,
+    role,
+    shapes_of,
+)
+from gsgen.contract.spec.manifest import Input
 
 SPECIFIED = {
     "view": ("float32", ((4, 4),)),
@@ -19,6 +28,9 @@ SPECIFIED = {
     "control": ("float32", (("*",),)),
     "audio": ("float32", (("S",), ("W", "M"))),
     "condition": ("float32", (("*",),)),
+    "image": ("float32", (("V", 3, "H", "W"),)),
+    "image_view": ("float32", (("V", 4, 4),)),
+    "image_intrinsics": ("float32", (("V", 3, 3),)),
 }
 
 
@@ -26,7 +38,7 @@ SPECIFIED = {
 def test_a_generator_role_has_the_dtype_and_shapes_of_the_contract(name):
     dtype, shapes = SPECIFIED[name]
     assert role(name).dtype[0] == dtype
-    assert role(name).shapes == shapes
+    assert shapes_of(role(name), GENERATOR) == shapes
 
 
 def test_a_generator_takes_the_roles_of_the_contract_and_no_others():
@@ -75,3 +87,27 @@ def test_a_name_like_no_role_says_how_many_are_known():
     start = f"unknown role 'xyz'\n  {len(ROLES)} are known, such as "
     assert str(caught.value).startswith(start)
     assert set(str(caught.value).removeprefix(start).rstrip(".").split(", ")) <= set(ROLES)
+
+
+def test_an_image_of_a_post_process_model_is_one_picture_of_three_or_four_channels():
+    image = role("image")
+    assert shapes_of(image, POST_PROCESS) == ((1, 3, "H", "W"), (1, 4, "H", "W"))
+    assert matching_shape(image, (4, 3, 8, 8), GENERATOR) == ("V", 3, "H", "W")
+    assert matching_shape(image, (4, 3, 8, 8), POST_PROCESS) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "declared", "expected"),
+    [
+        ("image", None, True),
+        ("image_view", None, True),
+        ("image_intrinsics", None, True),
+        ("condition", None, False),
+        ("condition", "scene", True),
+        ("shape", "scene", True),
+        ("time", None, False),
+        ("view", "frame", False),
+    ],
+)
+def test_pictures_and_inputs_declared_so_belong_to_the_scene(name, declared, expected):
+    assert Input(name="x", role=name, pass_=declared).is_of_scene is expected

@@ -53,8 +53,12 @@ class NamedInputs(Cloud):
     inputs = "time"  # type: ignore[assignment]
 
 
-class TakesPicture(Cloud):
-    inputs = (inputs.image(3, (16, 16)),)
+class TakesDiffusionTime(Cloud):
+    inputs = (inputs.timestep(1.0),)
+
+
+class TakesPicturesOfAnySize(Cloud):
+    inputs = (inputs.image(),)
 
 
 class FourDegrees(Cloud):
@@ -96,10 +100,16 @@ class Sepia(PostProcess):
         (lambda: Cloud, "Cloud", "the generator is a class, expected an instance", "Cloud()"),
         (dict, "dict", "the object is not a torch module", "GaussianGenerator"),
         (
-            TakesPicture,
-            "TakesPicture.inputs",
-            "input 'image' has the role image, which a gaussian-generator lacks",
-            "`gsgen export static`",
+            TakesDiffusionTime,
+            "TakesDiffusionTime.inputs",
+            "input 'timestep' has the role timestep, which a gaussian-generator lacks",
+            "such as condition",
+        ),
+        (
+            TakesPicturesOfAnySize,
+            "TakesPicturesOfAnySize.inputs",
+            "input 'image' has no shape",
+            "inputs.images(4, (256, 256))",
         ),
         (
             FourDegrees,

@@ -18,12 +18,17 @@ __all__ = [
 ]
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.spec.fields.roles import ROLES, STATE_SIZES
+from gsgen.contract.probing.picture_probes import (
+    intrinsics_of_pictures,
+    synthetic_pictures,
+    views_of_pictures,
+)
+from gsgen.contract.spec.fields.roles import PICTURE_ROLES, ROLES, STATE_SIZES
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
 
@@ -110,9 +115,13 @@ def default_probes(
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         range_fraction = index / (count - 1)
+        size = _picture_size(manifest, shapes)
         inputs = {
             i.name: _cast_array(
-                _sample_input(i, manifest, shapes[i.name], range_fraction, rng), dtypes[i.name]
+                _sample_picture_input(i, manifest, shapes[i.name], size, range_fraction, rng)
+                if i.role in PICTURE_ROLES and isinstance(manifest, GeneratorManifest)
+                else _sample_input(i, manifest, shapes[i.name], range_fraction, rng),
+                dtypes[i.name],
             )
             for i in manifest.inputs
         }
@@ -183,6 +192,36 @@ def _sample_input(
         q = q * np.sign(np.diag(r))
         return np.asarray(q * np.linalg.det(q))
     return _interpolate(low, high, rng.random(shape))
+
+
+def _picture_size(manifest: Manifest, shapes: dict[str, tuple[int, ...]]) -> tuple[int, int]:
+    """Return height and width of the model's first input of pictures; 1 without any."""
+    sizes = (shapes[entry.name][-2:] for entry in manifest.inputs if entry.role == "image")
+    return next(((size[0], size[1]) for size in sizes if len(size) == 2), (1, 1))
+
+
+def _sample_picture_input(
+    spec: Input,
+    manifest: GeneratorManifest,
+    shape: tuple[int, ...],
+    size: tuple[int, int],
+    range_fraction: float,
+    rng: "np.random.Generator",
+) -> Array:
+    """Return test pictures, or the cameras of pictures of a size (height, width) in pixels."""
+    count = shape[0] if shape else 1
+    if spec.role == "image_view" and shape[1:] == (4, 4):
+        # Gaussians may stand where these cameras look, so bounds cannot place the cameras.
+        unbounded = replace(manifest, bounds=None)
+        views = views_of_pictures(count, range_fraction, lambda place: _camera(unbounded, place))
+        is_transposed = manifest.space is None or manifest.space.matrix_order == "column"
+        return np.asarray(views.swapaxes(1, 2) if is_transposed else views)
+    if spec.role == "image_intrinsics" and shape[1:] == (3, 3):
+        min_fov, max_fov = _FOV_RANGE
+        field_of_view = min_fov + (max_fov - min_fov) * range_fraction
+        return intrinsics_of_pictures(count, size, field_of_view)
+    low, high = spec.range or (0.0, 1.0)
+    return _interpolate(low, high, synthetic_pictures(shape, rng))
 
 
 def _random_camera_history(

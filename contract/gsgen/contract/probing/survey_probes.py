@@ -21,7 +21,7 @@ from gsgen.contract.probing.probes import (
     SceneExtent,
     as_tensor,
 )
-from gsgen.contract.spec.fields.roles import CAMERA_ROLES, ROTATION_ROLES
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROTATION_ROLES
 from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.manifest import GeneratorManifest, Input
 
@@ -62,7 +62,12 @@ def survey_probes(
     if len(first) < 2:
         return
     other_inputs = [entry for entry in manifest.inputs if entry.role not in CAMERA_ROLES]
-    ranged_inputs = [entry for entry in other_inputs if entry.range is not None]
+    # Black and white pixels form no picture: pictures keep those of the first probes.
+    ranged_inputs = [
+        entry
+        for entry in other_inputs
+        if entry.range is not None and entry.role not in PICTURE_ROLES
+    ]
     cameras = [entry for entry in manifest.inputs if entry.role in ("view", "camera_position")]
     if any(map(manifest.depends, cameras)):
         yield from list(_camera_survey_probes(manifest, ranged_inputs, first))[:limit]

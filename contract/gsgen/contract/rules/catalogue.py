@@ -31,6 +31,7 @@ from gsgen.contract.rules.interface import (
     input_declarations,
     inputs,
     manifest,
+    scene_inputs,
     side_files,
 )
 from gsgen.contract.rules.outputs import capacity, companions, graph_outputs, outputs
@@ -69,6 +70,7 @@ RULE_FAMILIES = (
     inputs,
     input_declarations,
     avatar_inputs,
+    scene_inputs,
     outputs,
     companions,
     graph_outputs,

@@ -13,12 +13,11 @@ from gsgen.runtime.media import deep_pictures, pictures
 from gsgen.runtime.media.output_formats import require_output_format
 from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
-from gsgen.runtime.playback.camera_times import camera_time_tracks
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.playback.playback import Playback
 from gsgen.runtime.playback.player import FrameRequest
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline
+from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline, camera_time_tracks
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.source import Source

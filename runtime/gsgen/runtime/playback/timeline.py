@@ -1,6 +1,6 @@
 """The timeline of a playback: the input values of each model in each frame."""
 
-__all__ = ["AnimatedInputs", "Timeline"]
+__all__ = ["AnimatedInputs", "Timeline", "camera_time_tracks"]
 
 from collections.abc import Sequence
 from typing import Protocol, final
@@ -11,6 +11,7 @@ from jaxtyping import Int64, Shaped
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Input
+from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.sources.source import Values
 
@@ -128,3 +129,26 @@ def _time_value_of_frame(
         return int(low + number % (high - low + 1))
     steps = frames if spec.loop else frames - 1
     return low + (high - low) * number / steps
+
+
+def camera_time_tracks(
+    view: Viewpoint,
+    models: Sequence[AnimatedInputs],
+    tracks: Sequence[Track] = (),
+    time: float | None = None,
+) -> tuple[list[Track], tuple[str, ...]]:
+    """Return the tracks of a camera file's times, and notes on times that are not used.
+
+    ``tracks`` and ``time`` of the caller take precedence: with a time among them, those of the
+    camera file are left out.
+    """
+    if not view.times or time is not None:
+        return [], ()
+    if not any(spec.role == "time" for model in models for spec in model.inputs):
+        return [], ("not used: the times of the cameras, because no scene has a time input",)
+    set_roles = {
+        spec.role for track in tracks for model in models for spec in model.named(track.input_name)
+    }
+    if "time" in set_roles:
+        return [], ()
+    return [Track("time", np.array(view.times), "--camera")], ()

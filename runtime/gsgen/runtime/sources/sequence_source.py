@@ -1,6 +1,6 @@
 """Plays splat files that are the frames of a sequence: a folder of them, or a pattern of numbers."""
 
-__all__ = ["SequenceSource", "sequence_files"]
+__all__ = ["SequenceSource", "numbered_files", "sequence_files"]
 
 import re
 from pathlib import Path
@@ -29,19 +29,30 @@ def sequence_files(path: Path) -> list[Path]:
     ``frames/%04d.ply``.
     """
     if path.is_dir():
-        numbered_files = [file for file in path.iterdir() if _is_frame(file)]
-        suffixes = {file.suffix.lower() for file in numbered_files}
-        files = numbered_files if len(suffixes) == 1 and len(numbered_files) > 1 else []
-        return sorted(files, key=lambda file: natural_key(file.name))
-    match = _PRINTF_NUMBER_PATTERN.search(path.name)
-    if match is None or path.exists() or not path.parent.is_dir():
+        frames = [file for file in path.iterdir() if _is_frame(file)]
+        suffixes = {file.suffix.lower() for file in frames}
+        frames = frames if len(suffixes) == 1 and len(frames) > 1 else []
+        return sorted(frames, key=lambda file: natural_key(file.name))
+    files = numbered_files(path)
+    if files is None:
         return []
-    name_prefix, name_suffix = path.name[: match.start()], path.name[match.end() :]
-    digits = r"\d+" if not match[1].isdecimal() else rf"\d{{{int(match[1])},}}"
-    name_pattern = re.compile(re.escape(name_prefix) + digits + re.escape(name_suffix))
-    files = [file for file in path.parent.iterdir() if name_pattern.fullmatch(file.name)]
     if not files:
         raise SceneUnreadable("matches no file, expected numbered splat files", where=str(path))
+    return files
+
+
+def numbered_files(pattern: Path) -> list[Path] | None:
+    """Return the files that a name with a number's pattern matches, in the order of the numbers.
+
+    None for a path without a pattern, such as that of an existing file.
+    """
+    match = _PRINTF_NUMBER_PATTERN.search(pattern.name)
+    if match is None or pattern.exists() or not pattern.parent.is_dir():
+        return None
+    name_prefix, name_suffix = pattern.name[: match.start()], pattern.name[match.end() :]
+    digits = r"\d+" if not match[1].isdecimal() else rf"\d{{{int(match[1])},}}"
+    name_pattern = re.compile(re.escape(name_prefix) + digits + re.escape(name_suffix))
+    files = [file for file in pattern.parent.iterdir() if name_pattern.fullmatch(file.name)]
     return sorted(files, key=lambda file: natural_key(file.name))
 
 

@@ -5,7 +5,7 @@ The Visionary viewer binds the default names to the correct role.
 
 __all__ = [
     "appearance_id", "audio", "camera_position", "condition", "conditioning", "control",
-    "expression", "frame_index", "image", "pose", "projection", "root_rotation", "root_translation",
+    "expression", "frame_index", "image", "image_intrinsics", "image_views", "images", "pose", "projection", "root_rotation", "root_translation",
     "shape", "time", "timestep", "view", "viewport",
 ]  # fmt: skip
 
@@ -206,9 +206,74 @@ def audio(
     )
 
 
-def condition(size: int, name: str = "condition", *, range: Range = (-3.0, 3.0)) -> Input:
-    """Declare the input for numbers that another model computes (a latent code), float32 [size]."""
-    return Input(name=name, role="condition", shape=(size,), range=range, default="zeros")
+def condition(
+    size: int | tuple[int, ...],
+    name: str = "condition",
+    *,
+    range: Range = (-3.0, 3.0),
+    scene: bool = False,
+) -> Input:
+    """Declare the input for numbers that another program computes, such as the code of a text.
+
+    Args:
+        size: How many there are, or the shape of the tensor, such as (77, 768).
+        name: The tensor's name.
+        range: Smallest and largest value.
+        scene: Whether it stays from frame to frame, so that a runtime computes what depends on it
+            once (the scene pass).
+    """
+    shape = (size,) if isinstance(size, int) else tuple(size)
+    return Input(
+        name=name,
+        role="condition",
+        shape=shape,
+        range=range,
+        default="zeros",
+        pass_="scene" if scene else None,
+    )
+
+
+def images(
+    count: int,
+    size: tuple[int, int],
+    name: str = "image",
+    *,
+    range: Range = (0.0, 1.0),
+    background: tuple[float, float, float] | None = None,
+) -> Input:
+    """Declare the input of pictures that Gaussians are computed from, [count, 3, height, width].
+
+    Args:
+        count: Number of pictures.
+        size: Height and width.
+        name: The tensor's name.
+        range: Values of black and white.
+        background: RGB from 0 to 1 under transparent pixels; black if absent.
+    """
+    return Input(
+        name=name, role="image", shape=(count, 3, *size), range=range, background=background
+    )
+
+
+def image_views(count: int, name: str = "image_view") -> Input:
+    """Declare the input for the pictures' view matrices (world→camera), float32 [count, 4, 4]."""
+    return Input(name=name, role="image_view", shape=(count, 4, 4), default="identity")
+
+
+def image_intrinsics(
+    count: int, name: str = "image_intrinsics", *, default: tuple[float, float, float, float]
+) -> Input:
+    """Declare the input for the pictures' pinhole matrices in pixels, float32 [count, 3, 3].
+
+    Args:
+        count: Number of pictures.
+        name: The tensor's name.
+        default: Focal lengths in x and y and principal point of pictures without known cameras,
+            in pixels of the input of pictures.
+    """
+    fx, fy, cx, cy = map(float, default)
+    matrix = (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+    return Input(name=name, role="image_intrinsics", shape=(count, 3, 3), default=matrix * count)
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:

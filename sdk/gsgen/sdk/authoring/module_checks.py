@@ -85,23 +85,17 @@ def _require_names_and_shapes(declared: Sequence[Input], kind: type[nn.Module], 
     for entry in declared:
         if entry.role in ROLES and model_kind not in ROLES[entry.role].kinds:
             message = f"input {entry.name!r} has the role {entry.role}, which a {model_kind} lacks"
-            raise GeneratorInvalid(message, where=where, hint=_role_hint(entry.role))
+            hint = "Declare what it holds with another function of gsgen.sdk.inputs, such as condition."
+            raise GeneratorInvalid(message, where=where, hint=hint)
         if names.count(entry.name) > 1:
             hint = "Give each input a name of its own."
             raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
         is_image = kind is PostProcess and entry.role == "image"
         if entry.shape is None and not is_image:
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
+            if entry.role == "image":
+                hint = "A generator takes pictures of one size: inputs.images(4, (256, 256))."
             raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
-
-
-def _role_hint(role: str) -> str:
-    if role == "image":
-        return (
-            "Run the network once, and export its Gaussians as a file of splats with "
-            "`gsgen export static`; or give what the picture becomes as inputs.condition(…)."
-        )
-    return "Declare what it holds with another function of gsgen.sdk.inputs, such as condition."
 
 
 def input_order_hint(module: nn.Module) -> str:

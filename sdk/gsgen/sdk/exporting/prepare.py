@@ -105,7 +105,7 @@ def prepare_export(
     # Step 3: the bounds.
     first_runs = EagerRuns(generator, first_probes, [start])
     manifest = replace(manifest, bounds=measure_bounds(first_runs))
-    references, example = first_runs, first_probes[0]
+    references, example, recordable = first_runs, first_probes[0], len(first_runs)
     if generator.inputs:
         # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
         bounds_runs = first_runs.with_probes(probes_of(manifest, count=BOUNDS_PROBES))
@@ -113,14 +113,18 @@ def prepare_export(
         manifest = replace(manifest, bounds=measure_bounds(chain(first_runs, all_runs)))
         # Bounds need every probe that the validator has; a quick comparison takes some of them.
         indices = np.linspace(1, len(all_runs) - 1, compared).round().astype(int)
-        compared_probes = [all_runs.probes[index] for index in (0, *indices)]
+        # Networks divide by the contrast of a picture: at zero, rounding decides their results.
+        has_pictures = any(entry.role == "image" for entry in generator.inputs)
+        compared_indices = indices if has_pictures else (0, *indices)
+        compared_probes = [all_runs.probes[index] for index in compared_indices]
+        recordable = len(compared_probes)
         references = all_runs.with_probes([*compared_probes, *_far_camera_probes(manifest)])
         example = all_runs.probes[1]
     return PreparedExport(
         generator=generator,
         manifest=manifest,
         references=references,
-        recordable=range(min(compared + 1, len(references))),
+        recordable=range(recordable),
         example=example,
         watch=watch,
     )

@@ -32,6 +32,7 @@ _ROUNDING = 1e-6
 _USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
     *("appearance_id", "control", "timestep", "conditioning", "audio", "condition"),
+    *("image_view", "image_intrinsics"),
 )
 
 
@@ -103,7 +104,7 @@ def _default_value_fault(entry: Input, shape: tuple[int, ...]) -> tuple[str, str
     """Return the fault of an input's default value, and the expected value; None if it fits."""
     default = entry.default
     is_quaternion_pose = entry.role == "pose" and shape[-1:] == (_QUATERNION_SIZE,)
-    if default == "identity" and not (shape in _SQUARE_SHAPES or is_quaternion_pose):
+    if default == "identity" and not (shape[-2:] in _SQUARE_SHAPES or is_quaternion_pose):
         return f"default identity for shape {list(shape)}", "a matrix or quaternions"
     if isinstance(default, tuple) and len(default) != prod(shape):
         actual = f"default of {len(default)} numbers for shape {list(shape)}"

@@ -12,7 +12,9 @@ from gsgen.contract.spec.fields.roles import (
     MANIFEST_KINDS,
     POST_PROCESS,
     ROLES,
+    Role,
     matching_shape,
+    shapes_of,
 )
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -140,15 +142,19 @@ def _feed_faults(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
         if kind == GENERATOR:
             yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
         elif kind == POST_PROCESS and not _is_open_image(tensor, role):
-            shapes = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes)
+            shapes = _shapes_text(ROLES[role], kind)
             expected = f"{shapes}, channels first; only height and width may be open, not the batch"
             yield Violation.at(location, f"shape {_shape_text(tensor)}", expected)
         return
-    if matching_shape(ROLES[role], dims) is None:
-        shapes = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes)
+    if matching_shape(ROLES[role], dims, kind) is None:
+        shapes = _shapes_text(ROLES[role], kind)
         yield Violation.at(
             location, f"shape {_shape_text(tensor)}", f"{shapes}, as the role {role} has"
         )
+
+
+def _shapes_text(role: Role, kind: str) -> str:
+    return " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes_of(role, kind))
 
 
 def _is_open_image(tensor: Tensor, role: str) -> bool:

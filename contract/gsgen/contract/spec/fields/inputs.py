@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from gsgen.contract.spec.fields.json_schema import Hint
+from gsgen.contract.spec.fields.roles import PICTURE_ROLES
 from gsgen.contract.spec.fields.values import Name, Positive, PositiveFloat, RoleName
 
 # The rounding error of a time, as a share of a frame.
@@ -61,6 +62,19 @@ class Input:
     hop: Annotated[
         Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
     ] = None
+    pass_: Annotated[
+        Literal["scene", "frame"] | None,
+        Hint(text="When its value changes: with the scene or with the frame; see `Passes`."),
+    ] = None
+    background: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Image: RGB from 0 to 1 under transparent pixels; black if absent."),
+    ] = None
+
+    @property
+    def is_of_scene(self) -> bool:
+        """Whether the scene pass takes the input: its value stays from frame to frame."""
+        return self.role in PICTURE_ROLES if self.pass_ is None else self.pass_ == "scene"
 
     def time_of_frame(self, frame: int) -> float:
         """Return the time at which a frame begins; frames divide the input's time range equally."""

@@ -5,6 +5,8 @@ __all__ = [
     "CONVENTION_SHAPES",
     "IMAGE_CHANNELS",
     "JOINTS",
+    "MATRIX_ROLES",
+    "PICTURE_ROLES",
     "ROLES",
     "ROTATION_ROLES",
     "STATE_SIZES",
@@ -13,6 +15,7 @@ __all__ = [
     "matches_shape",
     "matching_shape",
     "role",
+    "shapes_of",
 ]
 
 from dataclasses import dataclass
@@ -29,6 +32,12 @@ MANIFEST_KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
+# Roles of the pictures that a generator computes its Gaussians from: inputs of its scene pass.
+PICTURE_ROLES = ("image", "image_view", "image_intrinsics")
+
+# Roles of [4, 4] matrices, stored in the memory order that the manifest declares.
+MATRIX_ROLES = ("view", "projection", "image_view")
 
 # Roles whose numbers are rotations, as angles, quaternions or matrices.
 ROTATION_ROLES = ("pose", "root_rotation")
@@ -162,9 +171,9 @@ ROLES: dict[str, Role] = {
         ),
         Role(
             name="condition",
-            dtype=_FLOAT_DTYPES,
+            dtype=("float32", "int32"),
             shapes=(("*",),),
-            summary="Numbers that another model computes, such as a text or an identity code.",
+            summary="Numbers that another program computes, such as the tokens or the code of a text.",
             needs_range=True,
         ),
         Role(
@@ -179,8 +188,20 @@ ROLES: dict[str, Role] = {
             name="image",
             dtype=("float32", "float16"),
             shapes=((1, 3, "H", "W"), (1, 4, "H", "W")),
-            summary="The rendered image, channels first.",
-            kinds=(POST_PROCESS,),
+            summary="Pictures, channels first: of the scene, or the rendered one.",
+            kinds=(GENERATOR, POST_PROCESS),
+        ),
+        Role(
+            name="image_view",
+            dtype=_FLOAT_DTYPES,
+            shapes=(("V", 4, 4),),
+            summary="World→camera matrix of each picture; memory order as declared.",
+        ),
+        Role(
+            name="image_intrinsics",
+            dtype=_FLOAT_DTYPES,
+            shapes=(("V", 3, 3),),
+            summary="Pinhole matrix of each picture, in pixels of the `image` input.",
         ),
         Role(
             name="timestep",
@@ -208,6 +229,11 @@ ROLES: dict[str, Role] = {
 }
 
 
+# (Role, kind) → the shapes that the role has in that kind of model, where they differ.
+_SHAPES_BY_KIND: dict[tuple[str, str], tuple[Shape, ...]] = {
+    ("image", GENERATOR): (("V", 3, "H", "W"),)
+}
+
 # (Role, convention) → the shape that it fixes, where the role leaves sizes open.
 CONVENTION_SHAPES: dict[tuple[str, str], Shape] = {
     ("pose", "flame"): (5, 3),
@@ -234,12 +260,17 @@ def role(name: str) -> Role:
     return ROLES[name]
 
 
-def matching_shape(entry: Role, dims: Shape) -> Shape | None:
+def shapes_of(entry: Role, kind: str) -> tuple[Shape, ...]:
+    """Return the shapes that an input role may have in a kind of model."""
+    return _SHAPES_BY_KIND.get((entry.name, kind), entry.shapes)
+
+
+def matching_shape(entry: Role, dims: Shape, kind: str = "") -> Shape | None:
     """Return the first shape of an input role that a tensor's dimensions match, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """
-    for shape in entry.shapes:
+    for shape in shapes_of(entry, kind):
         if shape == ("*",):
             return shape
         if matches_shape(shape, dims):

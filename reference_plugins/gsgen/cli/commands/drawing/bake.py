@@ -12,6 +12,8 @@ import typer
 
 from gsgen.cli.commands.drawing.options import (
     Axis,
+    ImageCameras,
+    Images,
     ModelMemory,
     ModelTimeout,
     Provider,
@@ -87,6 +89,8 @@ def bake(
     time: _Time = None,
     pose: _Poses = None,
     inputs: _InputValues = None,
+    image: Images = None,
+    image_cameras: ImageCameras = None,
     camera: _BakedCamera = None,
     up: Axis = None,
     views: Annotated[
@@ -120,6 +124,7 @@ def bake(
     from gsgen.cli.progress import clear, progress
     from gsgen.formats import FileUnwritable, FormatError
     from gsgen.runtime.baking.bake_frames import bake_source
+    from gsgen.runtime.playback.picture_inputs import require_pictures
     from gsgen.runtime.sources.source import GeneratorSource
 
     tracks, view = _tracks(time, inputs), _viewpoint(camera, up)
@@ -128,20 +133,30 @@ def bake(
         confined_models((), [model], limits, provider) or nullcontext() as confined,
         closing(GeneratorSource(model, provider, sizes_of(size), confined)) as source,
     ):
+        file_tracks, _ = read_tracks(
+            pose, None, [source], images=image, image_cameras=image_cameras
+        )
+        tracks += file_tracks
+        require_pictures([source], tracks)
         try:
             report = bake_source(
                 source,
                 output,
-                tracks=_with_camera_times(
-                    [*tracks, *read_tracks(pose, None, [source])[0]], view, source
-                ),
+                tracks=_with_camera_times(tracks, view, source),
                 cameras=_cameras(view, source),
                 format=format,
                 views=views,
                 max_degree=sh_degree,
                 psnr=psnr,
                 progress=progress,
-                inputs=input_files([model], camera=camera, poses=pose, inputs=inputs),
+                inputs=input_files(
+                    [model],
+                    camera=camera,
+                    poses=pose,
+                    inputs=inputs,
+                    images=image,
+                    image_cameras=image_cameras,
+                ),
             )
         except FileUnwritable:
             raise
@@ -195,7 +210,7 @@ def _with_camera_times(
     """Add the times of a camera file to the tracks, and print the notes on the cameras."""
     if view is None:
         return tracks
-    from gsgen.runtime.playback.camera_times import camera_time_tracks
+    from gsgen.runtime.playback.timeline import camera_time_tracks
 
     camera_tracks, notes = camera_time_tracks(view, [source], tracks)
     for note in (*view.notes, *notes):

@@ -22,6 +22,8 @@ def input_files(
     poses: Iterable[str] | None = None,
     inputs: Iterable[str] | None = None,
     post: Iterable[Path] | None = None,
+    images: Iterable[str] | None = None,
+    image_cameras: str | None = None,
 ) -> list[Path]:
     """Return the paths that the options of a drawing command name; some may not exist.
 
@@ -31,10 +33,14 @@ def input_files(
         poses: Values of ``--pose``; of a folder, its motion files.
         inputs: Values of ``--input``.
         post: Post-process models.
+        images: Values of ``--image``.
+        image_cameras: The value of ``--image-cameras``.
     """
+    from gsgen.runtime.playback.picture_inputs import picture_files
     from gsgen.runtime.playback.pose_tracks import named_file
 
-    paths = [*scenes, *(post or ()), *_camera_files(camera)]
+    paths = [*scenes, *(post or ()), *_camera_files(camera), *_camera_files(image_cameras)]
+    paths += picture_files(images) if images else []
     for text in poses or ():
         paths += _motion_files(named_file(text)[1])
     paths += [Path(text.partition("=")[2]) for text in inputs or ()]

@@ -80,6 +80,24 @@ ImageSizes = Annotated[
         "dimension of a model; repeatable.",
     ),
 ]
+Images = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--image",
+        metavar="FILE,FILE,…",
+        help="Pictures that a generator computes its Gaussians from: files, a folder, or a pattern; "
+        "they are cropped and resized to the model's size. Repeatable.",
+    ),
+]
+ImageCameras = Annotated[
+    str | None,
+    typer.Option(
+        "--image-cameras",
+        metavar="FILE",
+        help="Cameras of these pictures, in any format of --camera, by their names or in order; "
+        "#NAME, #NUMBER or #0:4 after it picks some.",
+    ),
+]
 Inputs = Annotated[
     list[str] | None,
     typer.Option(
@@ -290,14 +308,19 @@ def read_tracks(
     inputs: list[str] | None,
     sources: "Sequence[Source]",
     fps: float | None = None,
+    *,
+    images: list[str] | None = None,
+    image_cameras: str | None = None,
 ) -> "tuple[list[Track], float | None]":
-    """Read the values of model inputs in each frame from the options ``--pose`` and ``--input``.
+    """Read the values of model inputs in each frame: of ``--pose``, ``--input`` and ``--image``.
 
     Args:
         poses: Values of ``--pose``.
         inputs: Values of ``--input``.
         sources: The scenes, whose inputs are named.
         fps: Frames per second that the user asked for, which sound is read for.
+        images: Values of ``--image``.
+        image_cameras: Value of ``--image-cameras``.
 
     Returns:
         A track for each input, and the frames per second of the first file of poses that has them.
@@ -306,6 +329,7 @@ def read_tracks(
         ConfigInvalid: A text or a file is invalid, or no source has an input of this name.
     """
     from gsgen.runtime.playback.input_tracks import input_track
+    from gsgen.runtime.playback.picture_inputs import picture_tracks
     from gsgen.runtime.playback.playback import frame_rate
     from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
     from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, sound_track
@@ -326,6 +350,7 @@ def read_tracks(
             tracks.append(sound_track(Path(value), spec, source.shape(spec.name), rate))
         else:
             tracks.append(input_track(text))
+    tracks += picture_tracks(images or (), image_cameras, sources)
     return tracks, pose_fps
 
 

@@ -91,6 +91,8 @@ def render(
     time: Time = None,
     pose: options.Poses = None,
     inputs: options.Inputs = None,
+    image: options.Images = None,
+    image_cameras: options.ImageCameras = None,
     frames: Frames = None,
     turn: TurnOption = None,
     fps: FramesPerSecond = None,
@@ -122,12 +124,22 @@ def render(
     from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files, training_camera
     from gsgen.runtime.media.output_formats import require_output_format
     from gsgen.runtime.playback.frame_sequence import FrameSequence
+    from gsgen.runtime.playback.picture_inputs import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
     symbols, width, height = options.split_image_size(size, width, height, [*scenes, *(post or ())])
     bit_count: Literal[8, 16] = 16 if bits == "16" else 8
-    refuse_inputs(output, input_files(scenes, camera=camera, poses=pose, inputs=inputs, post=post))
+    read_files = input_files(
+        scenes,
+        camera=camera,
+        poses=pose,
+        inputs=inputs,
+        post=post,
+        images=image,
+        image_cameras=image_cameras,
+    )
+    refuse_inputs(output, read_files)
     require_output_format(output, frames=frames or 1, bits=bit_count)
     files = list(read_scene_files(scenes).values())
     refuse_inputs(output, scene_inputs(files))
@@ -145,7 +157,10 @@ def render(
         streaming=replace(streaming, wait=wait),
         limits=options.model_limits(timeout, memory, trust=trust),
     ) as (sources, models):
-        tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
+        tracks, pose_fps = options.read_tracks(
+            pose, inputs, sources, fps, images=image, image_cameras=image_cameras
+        )
+        require_pictures(sources, tracks)
         is_published = wsr == "published"
         if is_published:
             _require_weighted_sums(sources)

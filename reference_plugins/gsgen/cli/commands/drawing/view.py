@@ -82,6 +82,8 @@ def view(
     time: Time = None,
     pose: options.Poses = None,
     inputs: options.Inputs = None,
+    image: options.Images = None,
+    image_cameras: options.ImageCameras = None,
     frames: Frames = None,
     fps: FramesPerSecond = None,
     play: PlayOption = True,
@@ -110,6 +112,7 @@ def view(
     """
     from gsgen.cli.commands.drawing.opening import open_scenes, training_camera
     from gsgen.runtime.playback.live_playback import LivePlayback
+    from gsgen.runtime.playback.picture_inputs import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
 
@@ -136,7 +139,10 @@ def view(
         streaming=replace(streaming, wait=0),
         limits=limits,
     ) as (sources, models):
-        tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
+        tracks, pose_fps = options.read_tracks(
+            pose, inputs, sources, fps, images=image, image_cameras=image_cameras
+        )
+        require_pictures(sources, tracks)
         playback = LivePlayback(
             sources,
             post=models,

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.contract.spec.fields.roles import MATRIX_ROLES
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding.providers.errors import InputInvalid
-
-_MATRIX_ROLES = ("view", "projection")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +44,7 @@ class InputBinding:
     @property
     def transposed(self) -> bool:
         """Whether the matrix input is column-major, so that matrices are fed transposed."""
-        return self.role in _MATRIX_ROLES and self.order == "column"
+        return self.role in MATRIX_ROLES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
         """Convert a value to the tensor of a model input; a number fills a one-element tensor.
@@ -66,7 +65,7 @@ class InputBinding:
                 raise self._invalid_value_error(
                     f"the value is {actual}, expected {limits[0]:g} … {limits[1]:g}"
                 )
-        return array.T if self.transposed else array
+        return np.swapaxes(array, -1, -2) if self.transposed else array
 
     def convert_value(self, value: object) -> np.ndarray:
         """Convert a value to an array of the model input's shape and dtype, without transposing.
@@ -98,7 +97,9 @@ class InputBinding:
         if self.declared is None:
             return np.zeros(self.shape, self.dtype)
         tensor = default_tensor(self.declared, self.shape)
-        return np.ascontiguousarray(tensor.T if self.transposed else tensor, self.dtype)
+        return np.ascontiguousarray(
+            np.swapaxes(tensor, -1, -2) if self.transposed else tensor, self.dtype
+        )
 
     def _convert_to_dtype(self, array: np.ndarray) -> np.ndarray:
         if self.dtype.kind in "iu" and array.size:
@@ -123,7 +124,7 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     default = declared.default
     if default is None:
         low = declared.range[0] if declared.range else 0.0
-        default = "identity" if declared.role in _MATRIX_ROLES else low
+        default = "identity" if declared.role in MATRIX_ROLES else low
     if default == "zeros":
         return np.zeros(shape)
     if default == "identity":
@@ -137,8 +138,8 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
 
 def _identity_values(role: str, shape: tuple[int, ...]) -> np.ndarray:
     """Return the identity transform in a given shape: a matrix, quaternions or rotation vectors."""
-    if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
-        return np.eye(shape[0])
+    if role != "pose" and len(shape) >= 2 and shape[-1] == shape[-2]:
+        return np.broadcast_to(np.eye(shape[-1]), shape).copy()
     identity_values = np.zeros(shape)  # rotation vectors
     if shape[-1:] == (4,):
         identity_values[..., 0] = 1.0  # quaternions (w, x, y, z)
