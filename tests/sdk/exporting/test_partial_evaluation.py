@@ -1,11 +1,13 @@
 """Values that no input reaches are constants: modules index, select, branch and invert with them."""
 
+import random
 from collections.abc import Callable
 
 import pytest
 import torch
 from torch import Tensor, nn
 
+from gsgen.sdk.exporting.pipeline import FoldedConstants
 from gsgen.sdk.exporting.tracing.partial_evaluation import ValueNeeded, fold_constants
 
 TIMES = (torch.tensor([0.3]), torch.tensor([0.8]))
@@ -179,7 +181,27 @@ def test_buffers_keep_their_values_where_forward_writes_them() -> None:
 
 def test_constants_are_counted_without_the_parameters() -> None:
     folding = fold_constants(Scene(lambda scene, time: scene.points * time), [TIMES[0]])
-    assert (folding.operations, folding.nbytes) == (0, 0)
+    assert folding.counts == FoldedConstants(0, 0)
     folding = fold_constants(Scene(lambda scene, time: scene.points.exp() * time), [TIMES[0]])
-    assert (folding.operations, folding.nbytes) == (1, 8 * 3 * 4)
-    assert folding.describe() == "1 operations that no input reaches are constants of 96 bytes."
+    assert folding.counts == FoldedConstants(1, 8 * 3 * 4)
+    (note,) = folding.describe()
+    assert note == "1 operations that no input reaches are constants of 96 B."
+
+
+def test_a_large_table_is_noted_with_its_line() -> None:
+    def table(scene: Scene, time: Tensor) -> Tensor:
+        grid = torch.arange(5_000_000).float() * scene.points.sum()
+        return grid * time
+
+    counted, large = fold_constants(Scene(table), [TIMES[0]]).describe()
+    assert counted == "5 operations that no input reaches are constants of 19.1 MiB."
+    assert "(grid = torch.arange(5_000_000)" in large
+    assert large.endswith("a table of 19.1 MiB is stored in the file.")
+
+
+def test_a_constant_that_changes_from_run_to_run_is_noted_with_its_line() -> None:
+    folding = fold_constants(
+        Scene(lambda scene, time: scene.points * time * random.random()), [TIMES[0]]
+    )
+    assert "random.random()" in folding.describe()[-1]
+    assert "gives another value in each run" in folding.describe()[-1]

@@ -1,8 +1,13 @@
 """Operators that torch's exporter does not translate, run by ONNX Runtime against torch."""
 
+from collections.abc import Callable, Iterator
+from itertools import product
+from typing import Any
+
 import numpy as np
 import onnx_ir as ir
 import onnxruntime
+import pytest
 import torch
 
 from gsgen.contract.probing.probes import Probe
@@ -33,3 +38,92 @@ def test_translations_give_what_torch_gives() -> None:
     for result, expected in zip(results, Untranslated()(x), strict=True):
         assert result.dtype == expected.numpy().dtype
         np.testing.assert_allclose(result, expected.numpy(), rtol=1e-6)
+
+
+REDUCTIONS = (
+    *("sum", "mean", "prod", "amax", "amin", "max", "min", "std", "var", "norm", "logsumexp"),
+    *("nansum", "nanmean", "argmax", "argmin", "any", "all", "count_nonzero", "aminmax"),
+    *("std_mean", "var_mean"),
+)
+DIMENSIONS: tuple[Any, ...] = (None, 0, -1, (0, 2), (0, 1, 2), ())
+CUBE = torch.randn(2, 3, 4, generator=torch.Generator().manual_seed(0))
+
+Reduction = Callable[[torch.Tensor], tuple[torch.Tensor, ...]]
+
+
+def reduction_calls(name: str) -> Iterator[tuple[str, Reduction]]:
+    """Yield a reduction with all dimensions, with and without keeping them, that torch accepts."""
+    for dims, keepdim in product(DIMENSIONS, (False, True)):
+        options = ({} if dims is None else {"dim": dims}) | ({"keepdim": True} if keepdim else {})
+
+        def call(x: torch.Tensor, options: dict[str, Any] = options) -> tuple[torch.Tensor, ...]:
+            result = getattr(torch, name)(x > 0 if name in ("any", "all") else x, **options)
+            return tuple(result) if isinstance(result, tuple) else (result,)
+
+        try:
+            call(CUBE)
+        except (IndexError, RuntimeError, TypeError):
+            continue
+        yield f"{name}({options})", call
+
+
+class Reduced(torch.nn.Module):
+    """All results of several reductions."""
+
+    def __init__(self, calls: list[Reduction]) -> None:
+        super().__init__()
+        self.calls = calls
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return tuple(part for call in self.calls for part in call(x))
+
+
+def test_reductions_give_what_torch_gives_for_all_dimensions() -> None:
+    calls = dict(entry for name in REDUCTIONS for entry in reduction_calls(name))
+    assert len(calls) > 150
+    module = Reduced(list(calls.values()))
+    expected = module(CUBE)
+    names = [f"{name} {n}" for name, call in calls.items() for n, _ in enumerate(call(CUBE))]
+    probe = Probe(label="x", inputs={"x": CUBE.numpy()})
+    model = trace_module(module, probe, TensorNames(("x",), tuple(names)), 18, where="Reduced")
+    data = ir.serde.serialize_model(model).SerializeToString()
+    results = onnxruntime.InferenceSession(data).run(None, {"x": CUBE.numpy()})
+    for name, result, tensor in zip(names, results, expected, strict=True):
+        assert result.shape == tuple(tensor.shape), name
+        np.testing.assert_allclose(result, tensor.numpy(), rtol=1e-5, err_msg=name)
+
+
+class Scattered(torch.nn.Module):
+    """All reductions of scatter_reduce and index_reduce, along both dimensions."""
+
+    rows = torch.tensor([0, 2, 0, 3])
+    columns = torch.tensor([1, 1, 0])
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        target, results = torch.full((5, 3), 0.5), []
+        for name, include_self in product(("sum", "mean", "prod", "amax", "amin"), (False, True)):
+            for dim, index in (
+                (0, self.rows[:, None].expand(4, 3)),
+                (1, self.columns.expand(4, 3)),
+            ):
+                results.append(
+                    target.scatter_reduce(dim, index, x, name, include_self=include_self)
+                )
+            if name != "sum":
+                results.append(
+                    target.index_reduce(0, self.rows, x, name, include_self=include_self)
+                )
+        return tuple(results)
+
+
+@pytest.mark.filterwarnings("ignore:index_reduce:UserWarning")
+def test_reductions_by_index_give_what_torch_gives() -> None:
+    x = torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
+    expected = Scattered()(x)
+    names = TensorNames(("x",), tuple(f"result_{n}" for n in range(len(expected))))
+    probe = Probe(label="x", inputs={"x": x.numpy()})
+    model = trace_module(Scattered(), probe, names, 18, where="Scattered")
+    data = ir.serde.serialize_model(model).SerializeToString()
+    results = onnxruntime.InferenceSession(data).run(None, {"x": x.numpy()})
+    for result, tensor in zip(results, expected, strict=True):
+        np.testing.assert_allclose(result, tensor.numpy(), rtol=1e-5)

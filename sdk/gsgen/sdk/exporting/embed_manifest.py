@@ -2,6 +2,7 @@
 
 __all__ = ["rewrite_and_embed", "with_profile"]
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -21,17 +22,22 @@ AnyManifest = TypeVar("AnyManifest", bound=Manifest)
 
 
 def rewrite_and_embed(
-    model: ir.Model, manifest: Manifest, target: Target, *, rewrite: bool = True
+    model: ir.Model,
+    manifest: Manifest,
+    target: Target,
+    *,
+    rewrite: bool = True,
+    skip: Sequence[str] = (),
 ) -> list[Change]:
     """Rewrite a model for a target runtime, embed the manifest, and return the rewrites.
 
-    Without ``rewrite``, the graph stays as torch exported it.
+    Without ``rewrite``, the graph stays as torch exported it; ``skip`` are names of passes.
     """
     # The exporter may call a tensor `view` although an input has that name.
     NameFixPass()(model)
     # The graph was traced at the requested operator set, so the passes keep it.
     rewrite_target = RewriteTarget.of(target, manifest, opset_of(model))
-    changes = rewrite_graph(model, rewrite_target) if rewrite else []
+    changes = rewrite_graph(model, rewrite_target, skip=skip) if rewrite else []
     # The exporter's metadata names files of the author's machine, and takes room.
     nodes = list(model.graph.all_nodes())
     values = [value for node in nodes for value in node.outputs]

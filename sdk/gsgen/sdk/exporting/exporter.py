@@ -3,7 +3,7 @@
 __all__ = ["export"]
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -22,6 +22,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from gsgen.sdk.errors import ExportFailed, ExportRejected
 from gsgen.sdk.exporting.eager_reference import packed_outputs, run_eager
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects
@@ -32,6 +33,7 @@ from gsgen.sdk.exporting.pipeline import (
     Exported,
     ExportOptions,
     Progress,
+    StageClock,
     check_contract,
     no_progress,
 )
@@ -39,7 +41,7 @@ from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, PreparedExport, default_d
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.source_vectors import RowRecorder, add_source_vectors
 from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
-from gsgen.sdk.exporting.tracing.trace import trace_generator
+from gsgen.sdk.exporting.tracing.trace import TracedGenerator, trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
@@ -58,6 +60,8 @@ _HALF_ROUNDINGS = 3
 _FLOAT16_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appearance=1e-3)
 # Measurements and probes of the search during an export; the command `gsgen float16` takes more.
 _FLOAT16_RUN_BUDGET, _FLOAT16_PROBE_COUNT = 24, 4
+# The rules that a shape which depends on values breaks.
+_SHAPE_RULES = ("GG004", "GG026")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,7 @@ def export(
     opset: int = OPSET,
     target: str = "core",
     rewrite: bool = True,
+    skip: Sequence[str] = (),
     verify: Literal["quick", "full"] = "full",
     pictures: SourcePictures | None = None,
     vectors: int = VECTOR_COUNT,
@@ -110,6 +115,7 @@ def export(
         target: The consumer to rewrite and validate for.
         rewrite: Whether to rewrite the graph so that it is captured; if False, it stays as torch
             exported it.
+        skip: Names of passes to leave out of the rewriting; ``gsgen rewrite --list`` has them.
         settings: Level, limits and severities of the validation.
         verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
             Bounds are measured at all of them in either case.
@@ -137,6 +143,7 @@ def export(
         settings=settings,
         progress=progress,
         rewrite=rewrite,
+        skip=skip,
     )
     if not 0 <= vectors <= MAX_RECORDED_VECTORS:
         message = f"is {vectors}, expected from 0 to {MAX_RECORDED_VECTORS}"
@@ -145,9 +152,10 @@ def export(
     generator = generator.eval().cpu()
     dtype = dtype or default_dtype(generator, target)
     half = dtype == "float16"
+    clock = StageClock(progress)
     with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         # Step 1: eager reference and hazards. A search for float16 weights measures a float32 graph.
-        progress("running the module in eager torch")
+        clock.begin("running the module in eager torch")
         prepared_export = prepare_export(
             generator,
             options,
@@ -157,17 +165,24 @@ def export(
             compared=BOUNDS_PROBES if verify == "full" else _QUICK_PROBE_COUNT,
         )
         # Steps 2 to 4: tracing, rewriting and manifest.
-        progress("tracing the graph")
-        traced = _trace(prepared_export, options, notes)
-        progress("rewriting the graph")
-        rewritten = _rewrite_for_target(traced, prepared_export, options, half=half)
+        clock.begin("tracing the graph")
+        traced = _trace(prepared_export, options)
+        clock.begin("rewriting the graph")
+        rewritten = _rewrite_for_target(traced.model, prepared_export, options, half=half)
         # Steps 5 to 7: verification, validation and atomic write.
         with atomic_write(path) as draft:
             save_model(rewritten.model, draft)
+            clock.begin("comparing with eager torch")
             verification_result = _verify_exported_model(
                 draft, prepared_export, rewritten, options, vectors, pictures
             )
-            report = check_contract(draft, options)
+            clock.begin("validating the model")
+            try:
+                report = check_contract(draft, options)
+            except ExportRejected as error:
+                raise _with_line(error, traced.shape_obstacle) from error
+    if traced.folding is not None:
+        notes += traced.folding.describe()
     gaussians = rewritten.manifest.outputs.gaussians
     assert gaussians is not None
     return Exported(
@@ -184,17 +199,27 @@ def export(
         changes=rewritten.changes,
         notes=tuple(notes),
         float16_result=rewritten.float16_result,
+        stages=clock.stages(),
+        folded=None if traced.folding is None else traced.folding.counts,
     )
 
 
-def _trace(prepared_export: PreparedExport, options: ExportOptions, notes: list[str]) -> ir.Model:
+def _with_line(error: ExportRejected, obstacle: ExportFailed | None) -> ExportRejected:
+    """Return the rejection of a shape that depends on values with the line of forward."""
+    is_of_shapes = any(finding.rule in _SHAPE_RULES for finding in error.report.findings)
+    if obstacle is None or not is_of_shapes:
+        return error
+    return ExportRejected(error.message, error.report, where=obstacle.where, hint=obstacle.hint)
+
+
+def _trace(prepared_export: PreparedExport, options: ExportOptions) -> TracedGenerator:
     gaussians = prepared_export.manifest.outputs.gaussians
     assert gaussians is not None
     storage = Packed(getattr(torch, gaussians.dtype), gaussians.capacity)
     packed = PackedGenerator(prepared_export.generator, storage)
     hazards = prepared_export.watch.hazards
     return trace_generator(
-        packed, prepared_export.example, prepared_export.manifest, options.opset, hazards, notes
+        packed, prepared_export.example, prepared_export.manifest, options.opset, hazards
     )
 
 
@@ -204,7 +229,9 @@ def _rewrite_for_target(
     """Rewrite a traced graph for the target; with ``half``, store weights and outputs in float16."""
     manifest, references = prepared_export.manifest, prepared_export.references
     target = load_target(options.target)
-    changes = tuple(rewrite_and_embed(model, manifest, target, rewrite=options.rewrite))
+    changes = tuple(
+        rewrite_and_embed(model, manifest, target, rewrite=options.rewrite, skip=options.skip)
+    )
     if not (half and options.rewrite):
         return _RewrittenModel(model, manifest, changes, None)
     normalize_model(model)
@@ -245,14 +272,7 @@ def _verify_exported_model(
         (None, 1) if rewritten.float16_result is None else (_FLOAT16_SLACK, _HALF_ROUNDINGS)
     )
     parity = check_parity(
-        draft,
-        manifest,
-        prepared_export.references,
-        suspects,
-        options.progress,
-        recorder,
-        slack,
-        roundings,
+        draft, manifest, prepared_export.references, suspects, options, recorder, slack, roundings
     )
     check_memory(generator, watch, prepared_export.references)
     recorded_vectors = add_source_vectors(draft, recorder, slack)

@@ -1,29 +1,27 @@
 """Explains why an exported model differs from torch: ignored inputs, or untraceable code."""
 
-__all__ = ["ParitySuspects", "diagnose", "low_precision_hint"]
+__all__ = ["Diagnosis", "ParitySuspects", "diagnose", "low_precision_hint"]
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe, dependency_probes
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
-from gsgen.sdk.exporting.tracing.hazards import Hazard
+from gsgen.sdk.exporting.tracing.hazards import Hazard, HazardKind, describe_hazard
 from gsgen.sdk.exporting.tracing.operator_watch import OperatorWatch
+from gsgen.sdk.exporting.tracing.repeatability import find_unrepeatable
 from gsgen.sdk.parity import ModelOutput, references_equal
 
 RunProbes = Callable[[list[Probe]], list[ModelOutput]]
 _MAX_LISTED_SUSPECTS = 3
 
-_RANDOM_HINT = (
-    "forward gives another result for the same inputs: it draws random numbers, reads a clock, "
-    "or keeps state between frames."
-)
 _NOT_REWRITTEN_TEXT = (
     "The graph was not rewritten, and runtimes compute some of torch's operators differently: "
     "export with rewrites."
@@ -52,13 +50,53 @@ class ParitySuspects:
     rewritten: bool  # whether the graph was rewritten
 
 
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The cause of a difference between an exported model and its torch module."""
+
+    reason: str  # a part of a sentence; empty if unknown
+    hint: str  # what to change
+    where: str = ""  # the line of the module; empty if unknown
+
+
 def diagnose(
     suspects: ParitySuspects, manifest: GeneratorManifest, references: EagerRuns, run: RunProbes
-) -> tuple[str, str]:
-    """Return why an exported model differs from torch, as part of a sentence, and a hint."""
+) -> Diagnosis:
+    """Return why an exported model differs from torch."""
+    if cause := _unrepeatable_cause(suspects, references.probes[-1]):
+        return cause
     lost_roles = _lost_inputs(suspects, manifest, references, run)
     reason = f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
-    return reason, _hint(suspects, references)
+    if low_precision := low_precision_hint(suspects.generator, references.probes[-1]):
+        return Diagnosis(reason, "\n  ".join([low_precision, *map(str, suspects.hazards[:2])]))
+    if suspects.hazards:
+        # What is lost was a value that left torch; else a layer that trains differs in the graph.
+        first, *others = sorted(
+            suspects.hazards, key=lambda hazard: (hazard.kind != "training", hazard.kind == "order")
+        )
+        hint = "\n  ".join([first.hint, *map(str, others[: _MAX_LISTED_SUSPECTS - 1])])
+        return Diagnosis(f"; {first.description}{reason}", hint, first.where)
+    return Diagnosis(reason, _hint_without_line(suspects, references))
+
+
+def _unrepeatable_cause(suspects: ParitySuspects, probe: Probe) -> Diagnosis | None:
+    """Return the line whose result changes although the inputs do not; None without one."""
+    tensors = [torch.from_numpy(np.array(value)) for value in probe.inputs.values()]
+    unrepeatable = find_unrepeatable(suspects.generator, tensors)
+    if unrepeatable is None:
+        return None
+    kinds: list[HazardKind] = [
+        hazard.kind
+        for hazard in suspects.hazards
+        if unrepeatable.where and unrepeatable.where in hazard.where
+    ]
+    where = unrepeatable.where
+    kind = kinds[0] if kinds else "random" if unrepeatable.is_random else "changing"
+    if "training" in kinds:  # dropout draws random numbers, too
+        kind = "training"
+        where = next(hazard.where for hazard in suspects.hazards if hazard.kind == kind)
+    description, hint = describe_hazard(kind)
+    return Diagnosis(f"; {description}", hint, where)
 
 
 def low_precision_hint(generator: GaussianGenerator, probe: Probe) -> str:
@@ -68,14 +106,7 @@ def low_precision_hint(generator: GaussianGenerator, probe: Probe) -> str:
     return watch.precision_hint
 
 
-def _hint(suspects: ParitySuspects, references: EagerRuns) -> str:
-    if hint := low_precision_hint(suspects.generator, references.probes[-1]):
-        return "\n  ".join([hint, *map(str, suspects.hazards[: _MAX_LISTED_SUSPECTS - 1])])
-    if suspects.hazards:
-        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MAX_LISTED_SUSPECTS])
-    second_run = run_eager(suspects.generator, references.probes[-1])
-    if not references_equal(references[-1], second_run):
-        return _RANDOM_HINT
+def _hint_without_line(suspects: ParitySuspects, references: EagerRuns) -> str:
     if not suspects.rewritten:
         return _NOT_REWRITTEN_TEXT
     is_stable = _is_stable(suspects.generator, references)

@@ -6,19 +6,24 @@ __all__ = [
     "Dtype",
     "ExportOptions",
     "Exported",
+    "FoldedConstants",
     "Progress",
+    "Stage",
+    "StageClock",
     "check_contract",
     "no_progress",
     "probes_of",
 ]
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
+from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
@@ -44,6 +49,61 @@ def no_progress(_: str) -> None:
     """Ignore a progress message: the default progress callback of an export."""
 
 
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A stage of an export, and the processor time that it took, child processes included."""
+
+    name: str
+    cpu_seconds: float
+
+
+class StageClock:
+    """Measures the processor time of the stages of an export.
+
+    Args:
+        progress: Called with a message when a stage begins.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._stages: list[Stage] = []
+        self._name = ""
+        self._start = self._first_start = _cpu_seconds()
+
+    def begin(self, name: str) -> None:
+        """End the stage before, and begin the next one."""
+        self._end()
+        self._name = name
+        total = self._start - self._first_start
+        self._progress(f"{name} ({total:.0f} CPU-s so far)" if total >= 1 else name)
+
+    def stages(self) -> tuple[Stage, ...]:
+        """End the last stage, and return all of them."""
+        self._end()
+        self._name = ""
+        return tuple(self._stages)
+
+    def _end(self) -> None:
+        now = _cpu_seconds()
+        if self._name:
+            self._stages.append(Stage(self._name, now - self._start))
+        self._start = now
+
+
+def _cpu_seconds() -> float:
+    """Return the processor time of this process and of the children that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@dataclass(frozen=True, slots=True)
+class FoldedConstants:
+    """The operations that an export computed before the trace, as no input reaches them."""
+
+    operations: int
+    nbytes: int  # the size of the results that the file holds
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
     """The options that exports of every kind have."""
@@ -55,6 +115,12 @@ class ExportOptions:
     settings: "Settings | None"  # level, limits and severities of the validation
     progress: Progress  # called with a message when a step begins
     rewrite: bool = True  # whether to rewrite the graph so that it is captured
+    skip: Sequence[str] = ()  # names of passes that are left out of the rewriting
+
+    @property
+    def limits(self) -> "Limits":
+        """Time and memory for running the model."""
+        return self.settings.limits if self.settings is not None else Limits()
 
     def __post_init__(self) -> None:
         refuse_folder(self.path)
@@ -74,6 +140,8 @@ class Exported:
         changes: The rewrites of the graph.
         notes: Further facts for the user, a sentence each.
         float16_result: Which nodes and weights became float16; None if the outputs are float32.
+        stages: The stages of the export, with their processor time.
+        folded: The operations that were computed before the trace; None if torch traced all of the module.
     """
 
     path: Path
@@ -85,6 +153,8 @@ class Exported:
     changes: "tuple[Change, ...]" = ()
     notes: tuple[str, ...] = ()
     float16_result: "Float16Result | Float16ImageResult | None" = None
+    stages: tuple[Stage, ...] = ()
+    folded: FoldedConstants | None = None
 
 
 def probes_of(

@@ -4,7 +4,7 @@ __all__ = ["export_post_process"]
 
 import copy
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -40,6 +40,7 @@ from gsgen.sdk.exporting.pipeline import (
     Exported,
     ExportOptions,
     Progress,
+    StageClock,
     check_contract,
     no_progress,
     probes_of,
@@ -67,6 +68,7 @@ def export_post_process(
     opset: int = OPSET,
     target: str = "core",
     rewrite: bool = True,
+    skip: Sequence[str] = (),
     settings: Settings | None = None,
     progress: Progress = no_progress,
 ) -> Exported:
@@ -83,6 +85,7 @@ def export_post_process(
         target: The consumer to rewrite and validate for.
         rewrite: Whether to rewrite the graph so that it is captured; if False, it stays as torch
             exported it.
+        skip: Names of passes to leave out of the rewriting; ``gsgen rewrite --list`` has them.
         settings: Level, limits and severities of the validation.
         progress: Called with a message when a step begins.
 
@@ -101,22 +104,24 @@ def export_post_process(
         settings=settings,
         progress=progress,
         rewrite=rewrite,
+        skip=skip,
     )
+    clock = StageClock(progress)
     validate_module(model, PostProcess)
     model = model.eval().cpu()
     # Step 1: eager reference.
     _check_inputs(model)
     manifest = _manifest(model, options.name, dtype)
     probes = list(_probes_of_sizes(model, manifest, dtype))
-    progress("running the module in eager torch")
+    clock.begin("running the module in eager torch")
     expected = [_run_eager_model(model, probe) for probe in probes]
     # Step 2: tracing, in float32 if a search decides which nodes become float16.
-    progress("tracing the graph")
+    clock.begin("tracing the graph")
     half = dtype == "float16"
     graph = _trace(model, probes[1], opset, half=half and not rewrite)
     # Steps 3 and 4: rewriting and manifest.
-    progress("rewriting the graph")
-    changes = rewrite_and_embed(graph, manifest, load_target(target), rewrite=rewrite)
+    clock.begin("rewriting the graph")
+    changes = rewrite_and_embed(graph, manifest, load_target(target), rewrite=rewrite, skip=skip)
     allowed = model.half_tolerance if half else model.tolerance
     float16_result = None
     if half and rewrite:
@@ -129,7 +134,9 @@ def export_post_process(
     # Steps 5 to 7: verification, validation and atomic write.
     with atomic_write(path) as draft:
         save_model(graph, draft)
-        parity = _check_parity(draft, manifest, probes, expected, allowed, progress)
+        clock.begin("comparing with eager torch")
+        parity = _check_parity(draft, manifest, probes, expected, allowed, options)
+        clock.begin("validating the model")
         report = check_contract(draft, options)
     shape = _image(manifest.inputs).shape
     size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
@@ -142,6 +149,7 @@ def export_post_process(
         parity=parity,
         changes=tuple(changes),
         float16_result=float16_result,
+        stages=clock.stages(),
     )
 
 
@@ -251,11 +259,12 @@ def _check_parity(
     probes: list[Probe],
     expected: list[np.ndarray],
     allowed: float,
-    progress: Progress,
+    options: ExportOptions,
 ) -> Parity:
-    progress(f"comparing with eager torch at {len(probes)} probes")
+    options.progress(f"comparing with eager torch at {len(probes)} probes")
     low, high = manifest.outputs.image.range
-    runs = run_exported(path, (OUTPUT_NAME,), probes, frame_bytes=max(e.nbytes for e in expected))
+    frame_bytes = max(image.nbytes for image in expected)
+    runs = run_exported(path, (OUTPUT_NAME,), probes, options.limits, frame_bytes=frame_bytes)
     images = [np.array(outputs[OUTPUT_NAME]) for outputs in runs]
     field_errors = list(_image_errors(images, expected, probes, abs(high - low), allowed))
     worst_error = max(field_errors, key=lambda field: field.excess)

@@ -18,7 +18,7 @@ from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.frame_size import frame_bytes
 from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose, low_precision_hint
-from gsgen.sdk.exporting.pipeline import Progress
+from gsgen.sdk.exporting.pipeline import ExportOptions
 from gsgen.sdk.exporting.source_vectors import RowRecorder
 from gsgen.sdk.exporting.tracing.hazards import HazardWatch
 from gsgen.sdk.model_runs import run_in_groups
@@ -36,7 +36,7 @@ def check_parity(
     manifest: GeneratorManifest,
     references: EagerRuns,
     suspects: ParitySuspects,
-    progress: Progress,
+    options: ExportOptions,
     recorder: RowRecorder,
     allowed: Tolerances | None = None,
     roundings: int = 1,
@@ -60,8 +60,10 @@ def check_parity(
         ignores_row_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )
     try:
-        for index, outputs in enumerate(_outputs_of_probes(path, manifest, references.probes)):
-            progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
+        for index, outputs in enumerate(
+            _outputs_of_probes(path, manifest, references.probes, options.limits)
+        ):
+            options.progress(f"comparing with eager torch: probe {index + 1} of {len(references)}")
             recorder.add_run(index, outputs)
             comparison.add(references[index], _output(outputs, manifest))
     except ParityFailed as error:  # the model does not run
@@ -74,18 +76,18 @@ def check_parity(
     def run(probes: list[Probe]) -> list[ModelOutput]:
         return [
             _output(outputs, manifest).copy()
-            for outputs in _outputs_of_probes(path, manifest, probes)
+            for outputs in _outputs_of_probes(path, manifest, probes, options.limits)
         ]
 
     worst_field = max(parity.fields, key=lambda field: field.excess)
     element = "cell" if worst_field.field.startswith("cell") else "Gaussian"
-    reason, hint = diagnose(suspects, manifest, references, run)
+    cause = diagnose(suspects, manifest, references, run)
     raise ParityFailed(
         f"{worst_field.field} of {element} {worst_field.row} differs by {worst_field.error:.3g} for the test inputs "
-        f"{worst_field.probe!r}, {worst_field.excess:.3g} times the tolerance{reason} "
+        f"{worst_field.probe!r}, {worst_field.excess:.3g} times the tolerance{cause.reason} "
         f"({parity.describe()})",
-        where=path.name,
-        hint=hint,
+        where=cause.where or path.name,
+        hint=cause.hint,
         parity=parity,
     )
 
@@ -106,11 +108,11 @@ def _perturbed_probes(probe: Probe) -> Iterator[Probe]:
 
 
 def _outputs_of_probes(
-    path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]
+    path: Path, manifest: GeneratorManifest, probes: Sequence[Probe], limits: Limits
 ) -> Iterator[dict[str, np.ndarray]]:
     """Yield a model's outputs for each set of test inputs; arrays are valid until the next one."""
     names = output_names(manifest)
-    return run_exported(path, names, probes, frame_bytes=frame_bytes(manifest))
+    return run_exported(path, names, probes, limits, frame_bytes=frame_bytes(manifest))
 
 
 def _output(outputs: dict[str, np.ndarray], manifest: GeneratorManifest) -> ModelOutput:
@@ -119,7 +121,7 @@ def _output(outputs: dict[str, np.ndarray], manifest: GeneratorManifest) -> Mode
 
 
 def run_exported(
-    path: Path, names: Sequence[str], probes: Sequence[Probe], *, frame_bytes: int
+    path: Path, names: Sequence[str], probes: Sequence[Probe], limits: Limits, *, frame_bytes: int
 ) -> Iterator[dict[str, np.ndarray]]:
     """Run an exported model for each set of test inputs, and yield its outputs by name."""
 
@@ -128,7 +130,7 @@ def run_exported(
             f"ONNX Runtime cannot run the exported model: {message}", where=path.name, hint=hint
         )
 
-    limits = Limits().for_model(open_model(path).weight_bytes + frame_bytes)
+    limits = limits.for_model(open_model(path).weight_bytes + frame_bytes)
     return run_in_groups(path, names, probes, limits, frame_bytes=frame_bytes, failure=failure)
 
 

@@ -139,12 +139,18 @@ def _select_runs(probe_runs: ProbeRuns) -> list[int]:
 
 
 def _raise_if_unavailable(execution: Execution) -> None:
-    """Raise if the child process ended before it ran the model in WebGPU."""
+    """Raise if the child process could not run the model in WebGPU, or not in time.
+
+    How long a run takes depends on the machine and on its load, so it is not a fault of the model.
+    """
     for event in execution.events:
         if event["event"] == "fell-back":
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
         if event["event"] == "unavailable":
             raise LevelUnavailable(event["message"], hint=event["hint"])
+    if execution.fault is not None and execution.fault.stage == "time":
+        message = f"not checked: out of time, {execution.fault.message}"
+        raise LevelUnavailable(message, hint="give more with --timeout")
     has_adapter = any(event["event"] == "adapter" for event in execution.events)
     if not has_adapter and execution.fault is not None:
         message = f"the WebGPU provider does not start ({execution.fault.message})"

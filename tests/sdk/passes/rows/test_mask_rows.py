@@ -108,6 +108,44 @@ def test_the_order_is_right_at_every_size(n: int) -> None:
         np.testing.assert_array_equal(count, [m.sum()])
 
 
+ONE_OF_EACH_ROW = """
+g (float[11,3,2] x, int64[11] label) => (float[11,2] y, int32[1] count)
+<int64[3] labels = {0, 1, 2}, int64[1] last = {-1}, float half = {0.5}, int64[2] shape = {11, 2},
+ int64[1] zero = {0}, int64[1] one = {1}> {
+    column = Unsqueeze (label, last)
+    MASK
+    columns = NonZero (m)
+    places = Transpose <perm = [1, 0]> (columns)
+    r = GatherND (x, places)
+    y = Reshape (r, shape)
+    size = Shape <start = 0, end = 1> (r)
+    number = Squeeze (size)
+    small = Cast <to = 6> (number)
+    count = Expand (small, one)
+}
+"""
+FIXED_COUNT_MASKS = {
+    "one_hot": "e = Equal (column, labels)\n f = Cast <to = 1> (e)\n m = Greater (f, half)",
+    "comparison": "m = Equal (labels, column)",
+    # The graph does not prove that it is one of each row: rows are moved forward.
+    "any other": "l = LessOrEqual (column, labels)\n s = GreaterOrEqual (column, labels)\n m = And (l, s)",
+}
+
+
+@pytest.mark.parametrize("name", FIXED_COUNT_MASKS)
+def test_a_mask_that_selects_a_fixed_number_of_rows_gives_them_in_order(name: str) -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(11, 3, 2)).astype(np.float32)
+    fed = {"x": x, "label": rng.integers(0, 3, 11)}
+    model = parsed(ONE_OF_EACH_ROW.replace("MASK", FIXED_COUNT_MASKS[name]))
+    before = run(model, **fed)
+    assert MaskRows()(model).modified
+    assert not operators(model) & DYNAMIC
+    assert ("CumSum" in operators(model)) is (name == "any other")
+    for first, other in zip(before, run(model, **fed), strict=True):
+        np.testing.assert_array_equal(other, first)
+
+
 def test_masked_rows_do_not_reach_the_output() -> None:
     model = masked(SELECTION_FORMS["Compress"], "s = Sqrt (r)\n y = Div (two, s)")
     x = np.array([[k - 5, 1, 1, 1] for k in range(N)], np.float32)

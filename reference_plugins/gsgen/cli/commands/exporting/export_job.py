@@ -51,7 +51,13 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     for note in result.notes:
         echo(f"note: {note}", err=True)
     outcome = ExportOutcome(
-        written=True, report=result.report, parity=result.parity, changes=result.changes
+        written=True,
+        report=result.report,
+        parity=result.parity,
+        changes=result.changes,
+        notes=result.notes,
+        stages=result.stages,
+        folded=result.folded,
     )
     emit_report(replace(request, dtype=result.dtype), source, outcome)
     if not request.as_json:
@@ -60,6 +66,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
     """Check the options, build the torch module or scene, and export it by its kind."""
+    from gsgen.contract.process.limits import Limits
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
@@ -67,7 +74,8 @@ def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Expo
 
     # Options are checked before a slow step begins.
     request.refuse_splat_file()
-    settings = Settings(level=Level.parse(request.level, "--level"))
+    limits = Limits() if request.timeout is None else Limits(seconds=request.timeout)
+    settings = Settings(level=Level.parse(request.level, "--level"), limits=limits)
     load_target(request.target)
     progress("building the generator")
     module = _build_generator(build)
@@ -88,7 +96,7 @@ def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Expo
     from gsgen.sdk.exporting.exporter import export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
 
-    options["rewrite"] = request.rewrite
+    options |= {"rewrite": request.rewrite, "skip": request.skip}
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
         _refuse_pictures(request)

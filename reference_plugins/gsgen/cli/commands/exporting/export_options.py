@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from gsgen.cli.options import Timeout
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET, VECTOR_COUNT
@@ -34,6 +35,8 @@ class ExportRequest:
     pictures: int = 0  # reference pictures of the eager module
     vectors: int = VECTOR_COUNT  # test vectors with rows of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
+    skip: tuple[str, ...] = ()  # passes that are left out of the rewriting
+    timeout: float | None = None  # seconds for all runs of the model; the usual limit if absent
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
     as_json: bool = False  # whether to print that report instead of text
 
@@ -111,6 +114,14 @@ def _request(
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
+    skip: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Leave this pass out of the rewriting; repeatable. `gsgen rewrite --list` has them.",
+        ),
+    ] = None,
+    timeout: Timeout = None,
     report: Annotated[
         Path | None, typer.Option(help="Write a report on the export to this file, as JSON.")
     ] = None,
@@ -130,6 +141,8 @@ def _request(
         pictures=pictures,
         vectors=vectors,
         rewrite=not no_rewrite,
+        skip=tuple(name for names in skip or () for name in names.split(",")),
+        timeout=timeout,
         report=report,
         as_json=as_json,
     )

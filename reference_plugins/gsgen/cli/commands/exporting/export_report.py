@@ -16,6 +16,7 @@ from gsgen.contract.reporters.json_report import to_dict
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
+    from gsgen.sdk.exporting.pipeline import FoldedConstants, Stage
     from gsgen.sdk.parity import Parity
     from gsgen.sdk.rewriting.rewrite import Change
 
@@ -31,6 +32,9 @@ class ExportOutcome:
     # how closely the model agrees with torch, if the two were compared
     parity: "Parity | None" = None
     changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
+    notes: tuple[str, ...] = ()  # further facts for the user
+    stages: "tuple[Stage, ...]" = ()  # the stages, with their processor time
+    folded: "FoldedConstants | None" = None  # operations computed before the trace
     error: GsgenError | None = None  # the error that stopped the export
 
 
@@ -48,6 +52,9 @@ def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> 
         "rewrites": [
             {"name": change.rewrite, "nodes": list(change.nodes)} for change in outcome.changes
         ],
+        "notes": list(outcome.notes),
+        "stages": [asdict(stage) for stage in outcome.stages],
+        "constants": asdict(outcome.folded) if outcome.folded else None,
         "parity": _parity_as_dict(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
     }

@@ -9,8 +9,10 @@ A hazard alone does not make an export wrong, so it is reported only if another 
 
 __all__ = ["Hazard", "HazardKind", "HazardWatch", "describe_hazard"]
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -22,13 +24,18 @@ from torch.utils._pytree import tree_leaves
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
 HazardKind = Literal[
-    "branch", "data", "linalg", "number", "numpy", "order", "random", "rebuilt", "shape", "state"
+    "branch", "changing", "data", "linalg", "number", "numpy", "order", "random", "rebuilt", "shape",
+    "state", "training",
 ]  # fmt: skip
 
 _DESCRIPTIONS_AND_HINTS: dict[HazardKind, tuple[str, str]] = {
     "branch": (
         "Python branches on a tensor",
-        "torch.where(condition, a, b) chooses in every frame.",
+        "torch.where(condition, a, b) chooses in every frame; an assert belongs into __init__ or a test.",
+    ),
+    "changing": (
+        "a value of Python or numpy changes from run to run",
+        "Random numbers, clocks and files are read once, in __init__; a time comes as an input.",
     ),
     "data": ("`.data` hides a tensor from tracing", "Use the tensor itself, or .detach()."),
     "linalg": (
@@ -60,6 +67,10 @@ _DESCRIPTIONS_AND_HINTS: dict[HazardKind, tuple[str, str]] = {
     "state": (
         "forward changes the module",
         "Compute it in every frame from the inputs, or once, in __init__.",
+    ),
+    "training": (
+        "a layer is in training mode, in which its result depends on chance or on the other rows",
+        "Call .eval() on the layer, or give training=False to the function.",
     ),
 }
 
@@ -169,7 +180,7 @@ class HazardWatch(TorchFunctionMode):
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
         depends_on_input = any(hasattr(leaf, _INPUT_MARK) for leaf in leaves)
-        self._inspect_call(func, name, args, depends_on_input=depends_on_input)
+        self._inspect_call(func, name, args, kwargs, depends_on_input=depends_on_input)
         result = func(*args, **kwargs)
         if depends_on_input:
             changed_tensors = [args[0]] if name == "__setitem__" else []
@@ -178,9 +189,13 @@ class HazardWatch(TorchFunctionMode):
                     setattr(leaf, _INPUT_MARK, True)
         return result
 
-    def _inspect_call(self, func: Any, name: str, args: Any, *, depends_on_input: bool) -> None:
+    def _inspect_call(
+        self, func: Any, name: str, args: Any, kwargs: Any, *, depends_on_input: bool
+    ) -> None:
         if name in _RANDOM_FUNCTIONS:
             self._record_hazard("random")
+        if _is_training(func, args, kwargs):
+            self._record_hazard("training")
         if self._is_in_place_operator(name) and args and id(args[0]) in self._module_tensors:
             self._record_hazard("state")
             self._save_tensor(args[0])
@@ -220,7 +235,10 @@ class HazardWatch(TorchFunctionMode):
             if id(module) not in self._modules:
                 original_setattr(module, name, value)
                 return
-            self._record_hazard("state", f"{type(module).__name__}.{name}, ")
+            is_unchanged = module.__dict__.get(name, module) is value
+            if not is_unchanged:
+                kind: HazardKind = "training" if name == "training" and value else "state"
+                self._record_hazard(kind, f"{type(module).__name__}.{name}, ")
             if (id(module), name) not in self._saved_attribute_keys:
                 self._saved_attribute_keys.add((id(module), name))
                 is_known_attribute = name in module.__dict__
@@ -235,6 +253,28 @@ class HazardWatch(TorchFunctionMode):
             original_setattr(module, name, value)
 
         return record_and_set
+
+
+def _is_training(func: Any, args: Any, kwargs: Any) -> bool:
+    """Return whether a function is told to train, as dropout and norms are; not if it drops nothing."""
+    defaults = _defaults_of(func)
+    values = defaults | dict(zip(defaults, args, strict=False)) | kwargs
+    drops_nothing = values.get("p", values.get("dropout_p")) == 0
+    return not drops_nothing and any(values.get(name) is True for name in ("training", "train"))
+
+
+@cache
+def _defaults_of(func: Any) -> dict[str, Any]:
+    """Return the parameters of a torch function with their defaults; none if it has no training mode."""
+    try:
+        parameters = inspect.signature(func).parameters.values()
+        defaults = {parameter.name: parameter.default for parameter in parameters}
+    except (TypeError, ValueError):  # a builtin; its schema has the names
+        packet = getattr(torch.ops.aten, getattr(func, "__name__", ""), None)
+        overload = getattr(packet, "default", None)
+        arguments = overload._schema.arguments if overload is not None else ()
+        defaults = {argument.name: argument.default_value for argument in arguments}
+    return defaults if {"training", "train"} & set(defaults) else {}
 
 
 def _is_mask(index: Any) -> bool:

@@ -20,6 +20,9 @@ from torch.fx.experimental.proxy_tensor import disable_proxy_modes_tracing, make
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
+from gsgen.contract.spec.units import format_bytes
+from gsgen.sdk.exporting.pipeline import FoldedConstants
+from gsgen.sdk.exporting.tracing.repeatability import find_unrepeatable
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
 _INDEX_OVERLOAD_PACKETS = (
@@ -31,6 +34,8 @@ _CLAMP_OPERATORS = (torch.ops.aten.clamp.default, torch.ops.aten.clamp_.default)
 # Runs that look for tensors which are constant when they are made and written later. Each run adds
 # tensors that the one before it did not know; two are the most that a module has needed.
 _MAX_RUNS = 8
+# A constant of this size is worth a note: the file grows by it.
+_LARGE_TABLE_BYTES = 16 << 20
 
 
 class ValueNeeded(Exception):
@@ -52,18 +57,33 @@ class ConstantFolding:
 
     Attributes:
         graph: The graph; its arguments are those of the module, its constants are attributes.
-        operations: The number of operations that were computed before the trace.
-        nbytes: The size of the constants of the graph which are no parameters or buffers, in bytes.
+        counts: The operations that were computed before the trace, and the size of the constants of
+            the graph besides parameters and buffers.
+        largest: The line that makes the largest of those constants, and its size in bytes.
+        unrepeatable: The line whose value changes from run to run; empty without one.
     """
 
     graph: fx.GraphModule
-    operations: int
-    nbytes: int
+    counts: FoldedConstants
+    largest: tuple[str, int] = ("", 0)
+    unrepeatable: str = ""
 
-    def describe(self) -> str:
-        """Return a sentence for the user."""
-        size = f"{self.nbytes / 1e6:.1f} MB" if self.nbytes >= 1e6 else f"{self.nbytes:,} bytes"
-        return f"{self.operations} operations that no input reaches are constants of {size}."
+    def describe(self) -> list[str]:
+        """Return sentences for the user."""
+        size = format_bytes(self.counts.nbytes)
+        notes = [
+            f"{self.counts.operations} operations that no input reaches are constants of {size}."
+        ]
+        line, nbytes = self.largest
+        if nbytes >= _LARGE_TABLE_BYTES:
+            notes.append(
+                f"{line or 'forward'}: a table of {format_bytes(nbytes)} is stored in the file."
+            )
+        if self.unrepeatable:
+            notes.append(
+                f"{self.unrepeatable}: gives another value in each run; the file keeps that of the export."
+            )
+        return notes
 
 
 def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFolding:
@@ -97,9 +117,18 @@ def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFoldi
             recorded, tracing_mode="real", _error_on_data_dependent_ops=False
         )
         graph = trace(*_copy_tensors(inputs))
+        unrepeatable = find_unrepeatable(module, inputs)
     known = {t.data_ptr() for t in (*module.parameters(), *module.buffers())}
-    constants = {t.data_ptr(): t.nbytes for t in _constants(graph) if t.data_ptr() not in known}
-    return ConstantFolding(graph, modes[-1].computed, sum(constants.values()))
+    constants = {t.data_ptr(): t for t in _constants(graph) if t.data_ptr() not in known}
+    largest = max(constants.values(), key=lambda tensor: tensor.nbytes, default=None)
+    return ConstantFolding(
+        graph=graph,
+        counts=FoldedConstants(modes[-1].computed, sum(t.nbytes for t in constants.values())),
+        largest=("", 0)
+        if largest is None
+        else (modes[-1].large_lines.get(_storage(largest), ""), largest.nbytes),
+        unrepeatable="" if unrepeatable is None else unrepeatable.where,
+    )
 
 
 def _run(
@@ -119,12 +148,14 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
     Attributes:
         computed: The number of operations that no input reaches.
         written: The operations, by their number, whose result an input writes later.
+        large_lines: The storage of each large constant → the line of the user's code that made it.
     """
 
     def __init__(self, inputs: Sequence[Tensor], written: frozenset[int]) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
         self.computed = 0
         self.written: set[int] = set()
+        self.large_lines: dict[int, str] = {}
         self._known_written_tensors = written
         # The storage's address → a tensor of it, which keeps the address from being used again.
         self._reached_tensors: dict[int, Tensor] = {}
@@ -150,6 +181,8 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
                 result = func(*args, **kwargs)
             for tensor in _tensors(result):
                 self._maker_by_storage.setdefault(_storage(tensor), (self._count, tensor))
+                if tensor.nbytes >= _LARGE_TABLE_BYTES:
+                    self.large_lines.setdefault(_storage(tensor), current_user_line())
             return result
         args = self._replace_masks_by_indices(func, args)
         if is_tensor_reached and _is_masked_write(func, args):

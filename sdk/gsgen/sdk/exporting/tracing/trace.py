@@ -1,10 +1,10 @@
 """Traces a torch module into an ONNX graph with torch's own exporter."""
 
-__all__ = ["TensorNames", "trace_generator", "trace_module"]
+__all__ = ["TensorNames", "TracedGenerator", "trace_generator", "trace_module"]
 
 import logging
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from io import StringIO
@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 import onnx_ir as ir
 import torch
-from onnx import TensorProto
 from onnx_ir.passes.common import ShapeInferencePass
-from onnxscript import opset18
 from torch import nn
 
 from gsgen.contract.probing.probes import Probe
@@ -36,19 +34,47 @@ from gsgen.sdk.exporting.tracing.partial_evaluation import (
     fold_constants,
 )
 from gsgen.sdk.exporting.tracing.source_lines import user_line_of
+from gsgen.sdk.exporting.tracing.translations import OPERATOR_TRANSLATIONS
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _MAX_HAZARDS = 3
 # Kinds of operations by which the value of an input leaves torch without a torch operator.
 _GRAPH_LEAK_HAZARDS: tuple[HazardKind, ...] = ("number", "numpy", "rebuilt")
+# Operators of which the values decide how large the result is.
+_VALUE_SHAPED_OPERATORS = ("Compress", "NonZero", "Unique")
+# Kinds of operations that never make torch's exporter fail.
+_TRACEABLE_HAZARDS: tuple[HazardKind, ...] = (
+    "changing",
+    "data",
+    "order",
+    "random",
+    "state",
+    "training",
+)
 _TRACE_HINT = (
-    "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
-    "keep `.item()`, numpy and Python branches on tensors out of forward."
+    "This is torch's own message. Leave out parts of forward until it exports, and write what is "
+    "left with other operators."
 )
 
 
 class OperatorMissing(ExportFailed):
     """Raised if a torch module calls an operator that has no ONNX form."""
+
+
+@dataclass(frozen=True, slots=True)
+class TracedGenerator:
+    """The ONNX graph of a torch generator, and the constants that it was given.
+
+    Attributes:
+        model: The graph.
+        folding: The operations that were computed before the trace; None if torch traced them all.
+        shape_obstacle: The operation of forward that gives the graph a shape which depends on an
+            input; None without one.
+    """
+
+    model: ir.Model
+    folding: ConstantFolding | None = None
+    shape_obstacle: ExportFailed | None = None
 
 
 def trace_generator(
@@ -57,27 +83,34 @@ def trace_generator(
     manifest: GeneratorManifest,
     opset: int,
     hazards: Sequence[Hazard] = (),
-    notes: list[str] | None = None,
-) -> ir.Model:
+) -> TracedGenerator:
     """Trace a torch generator with packed outputs, and return its ONNX graph.
 
-    Where torch cannot, the operations that no input reaches are computed first
-    (:mod:`gsgen.sdk.exporting.tracing.partial_evaluation`), and a sentence of ``notes`` says so.
+    Where torch cannot, or where a shape of the graph depends on values, the operations that no
+    input reaches are computed first (:mod:`gsgen.sdk.exporting.tracing.partial_evaluation`).
     ``hazards`` explain an error.
     """
     names = TensorNames(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
     try:
-        return trace_module(packed, example, names, opset, where=where, hazards=hazards)
+        model = trace_module(packed, example, names, opset, where=where, hazards=hazards)
     except ExportFailed as error:
-        folding_result = _fold_constants(packed, example, hazards, error)
+        folding = _fold_constants(packed, example, hazards, error)
         try:
-            model = trace_module(folding_result.graph, example, names, opset, where=error.where)
+            model = trace_module(folding.graph, example, names, opset, where=error.where)
         except OperatorMissing:
             raise error from None  # it has the line of forward, which the folded graph has not
-    if notes is not None:
-        notes.append(folding_result.describe())
-    return model
+        return TracedGenerator(model, folding)
+    if not any(node.op_type in _VALUE_SHAPED_OPERATORS for node in model.graph.all_nodes()):
+        return TracedGenerator(model)
+    try:
+        obstacle = ExportFailed("a shape depends on values", where=where)
+        folding = _fold_constants(packed, example, hazards, obstacle)
+        return TracedGenerator(
+            trace_module(folding.graph, example, names, opset, where=where), folding
+        )
+    except ExportFailed as error:  # the passes rewrite most masks that an input reaches
+        return TracedGenerator(model, shape_obstacle=error)
 
 
 def _fold_constants(
@@ -156,7 +189,7 @@ def _run_exporter(
             output_names=list(names.outputs),
             opset_version=opset,
             dynamic_shapes=names.dynamic and (names.dynamic,),
-            custom_translation_table=_OPERATOR_TRANSLATIONS,
+            custom_translation_table=OPERATOR_TRANSLATIONS,
             optimize=False,
             verbose=False,
         )
@@ -223,10 +256,13 @@ def _export_error(name: str, error: BaseException, hazards: Sequence[Hazard]) ->
     reason = next((line for line in str(root).splitlines() if line.strip()), type(root).__name__)
     message = f"{type(root).__name__}: {reason.strip()[:300]}"
     line = user_line_of(root)
-    likely_hazards = [hazard for hazard in hazards if line and line in hazard.where] or list(
-        hazards
-    )
-    likely_hazards.sort(key=lambda hazard: hazard.kind == "order")  # torch exports sorts
+    # A hazard explains the error if it has the error's line. An error without a line has one of the
+    # hazards that exports fail at.
+    likely_hazards = [
+        hazard
+        for hazard in hazards
+        if (line in hazard.where if line else hazard.kind not in _TRACEABLE_HAZARDS)
+    ]
     if not likely_hazards:
         return ExportFailed(message, where=line or name, hint=_TRACE_HINT)
     first = likely_hazards[0]
@@ -235,37 +271,3 @@ def _export_error(name: str, error: BaseException, hazards: Sequence[Hazard]) ->
         where=line or first.where,
         hint="\n  ".join([first.hint, *(str(hazard) for hazard in likely_hazards[1:_MAX_HAZARDS])]),
     )
-
-
-# Its types are those of single operators, not of what they return.
-_OPSET18: Any = opset18
-
-
-def _translate_searchsorted(
-    boundaries: Any, values: Any, *, right: bool = False, side: str | None = None, **_: Any
-) -> Any:
-    """Translate searchsorted to float32 counts of boundaries; WebGPU cannot sum int64."""
-    expanded_values = _OPSET18.Unsqueeze(values, _OPSET18.Constant(value_ints=[-1]))
-    row = _OPSET18.Unsqueeze(boundaries, _OPSET18.Constant(value_ints=[-2]))
-    is_right_side = right or side == "right"
-    is_below = (
-        _OPSET18.LessOrEqual(row, expanded_values)
-        if is_right_side
-        else _OPSET18.Less(row, expanded_values)
-    )
-    ones = _OPSET18.Cast(is_below, to=TensorProto.FLOAT)
-    count = _OPSET18.ReduceSum(ones, _OPSET18.Constant(value_ints=[-1]), keepdims=0)
-    return _OPSET18.Cast(count, to=TensorProto.INT64)
-
-
-def _translate_prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
-    """Translate ``prims.prod``, to which torch reduces ``cumprod``, to the operator ReduceProd."""
-    axes = _OPSET18.Constant(value_ints=list(dims))
-    return _OPSET18.ReduceProd(values, axes, keepdims=0)
-
-
-# ONNX forms of torch operators that torch's own exporter does not translate.
-_OPERATOR_TRANSLATIONS: dict[Callable[..., Any], Callable[..., Any]] = {
-    torch.ops.aten.searchsorted.Tensor: _translate_searchsorted,
-    torch.ops.prims.prod.default: _translate_prod,
-}

@@ -33,7 +33,12 @@ from gsgen.sdk.passes.rows.row_indices import (
 )
 from gsgen.sdk.passes.rows.row_numbers import constant_rows, linear_numbers, mask_count, shape_fact
 from gsgen.sdk.passes.rows.row_operators import propagate_rows, split_rows
-from gsgen.sdk.passes.rows.row_reductions import pad_rows, reduce_rows, scatter_rows
+from gsgen.sdk.passes.rows.row_reductions import (
+    pad_rows,
+    reduce_rows,
+    rows_of_fixed_count,
+    scatter_rows,
+)
 
 _NUMBER_READING_OPERATORS = (
     "Add", "Cast", "Div", "Mul", "Sub", "Where", "Equal", "Less", "Greater", "Min", "Max",
@@ -50,6 +55,7 @@ class MaskRows(SkippableRewrite):
         2  x[mask] = f(x[mask])        →   Where(mask, f(x), x)
         3  cat(x[mask], zeros(C − K))  →   as case 1, with C rows and equal bits
         4  sum(x[mask])                →   sum(Where(mask, x, 0))
+        5  reshape(x[mask], [12, 3])   →   sum(Where(mask, x, 0), axis=1), if each row has one True
 
     The order comes from the mask's prefix sum (CumSum) by binary search; K is its last element.
     In case 1, an output of K rows becomes one of N rows: the first K are the same, the others are
@@ -179,6 +185,8 @@ class _MaskingAttempt:
             is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_padding_filled
         ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
+        if is_op(node, "Reshape") and isinstance(facts[0], Rows) and not any(facts[1:]):
+            return rows_of_fixed_count(node, facts, self.draft)  # Case 5: K is a known number
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
     def _source_row_fact(self, node: ir.Node) -> RowTensorFact | None:
@@ -257,8 +265,9 @@ class _MaskingAttempt:
         if not all(fact is None or isinstance(fact, Linear) for fact in facts):
             return False
         numbers = [fact for fact in facts if isinstance(fact, Linear) and fact.varies]
-        if any(fact.factor.any() for fact in numbers) and not is_op(
-            node, *_NUMBER_READING_OPERATORS
+        is_repeated = is_op(node, "Expand") and facts[1] is None
+        if any(fact.factor.any() for fact in numbers) and not (
+            is_repeated or is_op(node, *_NUMBER_READING_OPERATORS)
         ):
             return False
         for input_index, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):

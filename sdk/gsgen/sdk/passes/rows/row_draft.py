@@ -25,6 +25,7 @@ class RowDraft(DetachedGraph):
         super().__init__(stem)
         self.results: dict[ir.Value, ir.Value] = {}
         self.input_replacements: list[tuple[ir.Node, int, ir.Value]] = []
+        self.fixed_counts: dict[Mask, int] = {}  # K, for masks of which the graph says it
         self._order_by_mask: dict[Mask, RowOrder] = {}
 
     def order(self, mask: Mask) -> RowOrder:
@@ -63,8 +64,9 @@ class RowDraft(DetachedGraph):
         if not fact.varies:
             return like
         kind, shape = required(like.dtype), list(fact.constant.shape)
-        if not fact.factor.any():
-            return self.constant(fact.constant, kind.numpy())
+        fixed_count = self.fixed_counts.get(fact.mask.without_repeats, 0)
+        if fixed_count or not fact.factor.any():
+            return self.constant(fact.constant + fact.factor * fixed_count, kind.numpy())
         count = self.order(fact.mask).count
         if kind != count.dtype:
             count = self.op("Cast", count, dtype=kind, shape=[1], to=kind.value)

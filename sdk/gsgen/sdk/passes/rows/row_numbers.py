@@ -43,7 +43,7 @@ def mask_count(node: ir.Node) -> Linear | None:
         or result_shape is None
     ):
         return None
-    mask = read_mask(node.inputs[0])
+    mask = read_mask(_before_reshape(node.inputs[0]))
     if mask is None or mask.root.dtype != ir.DataType.BOOL or mask.repeats:
         return None
     mask_shape = fixed_shape(node.inputs[0])
@@ -53,6 +53,15 @@ def mask_count(node: ir.Node) -> Linear | None:
     return Linear(
         mask, np.zeros(result_shape, np.int64), np.ones(result_shape, np.int64), varies=False
     )
+
+
+def _before_reshape(value: ir.Value | None) -> ir.Value | None:
+    """Return the tensor of which casts and reshapes make a value: as many elements are true."""
+    producer = value.producer() if value is not None else None
+    while producer is not None and is_op(producer, "Cast", "Reshape"):
+        value = producer.inputs[0]
+        producer = value.producer() if value is not None else None
+    return value
 
 
 def shape_fact(node: ir.Node, fact: RowTensorFact) -> Linear | None:

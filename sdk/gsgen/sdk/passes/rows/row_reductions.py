@@ -3,7 +3,7 @@
 Each function returns the drafted value, or None if it does not support the node.
 """
 
-__all__ = ["pad_rows", "reduce_rows", "scatter_rows"]
+__all__ = ["pad_rows", "reduce_rows", "rows_of_fixed_count", "scatter_rows"]
 
 from collections.abc import Sequence
 from math import prod
@@ -13,9 +13,22 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import is_op
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
+from gsgen.sdk.passes.framework.value_facts import (
+    constant_of,
+    fixed_shape,
+    int_attribute,
+    rank_of,
+    required,
+)
 from gsgen.sdk.passes.rows.row_draft import RowDraft
-from gsgen.sdk.passes.rows.row_facts import Index, Linear, PaddingRowsFact, Rows, RowTensorFact
+from gsgen.sdk.passes.rows.row_facts import (
+    Index,
+    Linear,
+    Mask,
+    PaddingRowsFact,
+    Rows,
+    RowTensorFact,
+)
 from gsgen.sdk.passes.rows.row_operators import axes_of
 
 # The neutral element of each reduction.
@@ -89,6 +102,54 @@ def reduce_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | N
     elements_per_row = prod(shape[axis] for axis in reduced_axes if axis != rows.axis)
     number = draft.op("Mul", number, draft.constant(elements_per_row, kind.numpy()), shape=[1])
     return draft.op("Div", total, draft.reshaped(number, []))
+
+
+def rows_of_fixed_count(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
+    """Create the output of a Reshape to a fixed shape, which says how many rows a mask selects."""
+    rows, target = facts[0], constant_of(node.inputs[1])
+    shape = fixed_shape(rows.value) if isinstance(rows, Rows) else None
+    if not isinstance(rows, Rows) or rows.axis or rows.flat or shape is None or target is None:
+        return None
+    sizes = [int(size) for size in target]
+    row_size = prod(shape[1:])
+    if min(sizes, default=0) <= 0 or not row_size or prod(sizes) % row_size:
+        return None
+    count = prod(sizes) // row_size
+    if count > rows.mask.size:
+        return None
+    draft.fixed_counts[rows.mask.without_repeats] = count
+    dims, kind = rows.mask.dims, rows.value.dtype
+    if len(dims) == 2 and count == dims[0] and _has_at_most_one_true_in_a_row(rows.mask):
+        # Case 1: one of each row of the mask. The others contribute zero to a sum.
+        mask = draft.reshaped(draft.boolean_mask(rows.mask), [*dims, *[1] * (len(shape) - 1)])
+        values = draft.reshaped(rows.value, [*dims, *shape[1:]])
+        zero = draft.constant(0, required(kind).numpy())
+        masked = draft.op("Where", mask, values, zero, dtype=kind, shape=[*dims, *shape[1:]])
+        axes = draft.constant([1], np.int64)
+        selected = draft.op("ReduceSum", masked, axes, shape=[count, *shape[1:]], keepdims=0)
+    else:
+        # Case 2: the first rows after the selected ones have been moved forward.
+        ends = (draft.constant([number], np.int64) for number in (0, count, 0))
+        selected = draft.op("Slice", draft.compact(rows), *ends, shape=[count, *shape[1:]])
+    return draft.reshaped(selected, sizes)
+
+
+def _has_at_most_one_true_in_a_row(mask: Mask) -> bool:
+    """Return whether a mask compares each row's number with different constants, as ``one_hot``."""
+    node = mask.root.producer()
+    while node is not None and is_op(node, "Cast", "Greater"):
+        threshold = constant_of(node.inputs[1]) if is_op(node, "Greater") else np.zeros(1)
+        if threshold is None or threshold.size != 1 or not 0 <= threshold.reshape(()) < 1:
+            return False
+        node = node.inputs[0].producer() if node.inputs[0] is not None else None
+    if node is None or not is_op(node, "Equal"):
+        return False
+    for number, labels in (node.inputs, reversed(node.inputs)):
+        known, shape = constant_of(labels), fixed_shape(number)
+        if known is None or shape is None or shape[-1:] != (1,):
+            continue
+        return bool(known.size == known.shape[-1] == len(np.unique(known)))
+    return False
 
 
 def pad_rows(node: ir.Node, facts: RowFacts, draft: RowDraft) -> ir.Value | None:
