@@ -101,7 +101,7 @@ CODECS: Final = (
         write=write_ply,
         frame_writer=lambda: PlyFrames().write,
         magic_prefixes=PLY_MAGIC,
-        keeps_flags=frozenset({"antialiased", "color_space", "up"}),
+        keeps_flags=frozenset({"antialiased", "color_space", "up", "origin"}),
         loss="nothing, bit for bit",
         source="graphdeco-inria/gaussian-splatting",
     ),

@@ -1,6 +1,7 @@
 """Converts splat files to another format, and measures the loss."""
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +20,8 @@ from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.origins import Origin, near_zero, origin_text
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import DEFAULT_UP, PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import is_streamed_meta
@@ -70,6 +73,7 @@ def convert(
     *,
     sh_degree: int | None = None,
     drop_invalid: bool = False,
+    origin: Origin | None = None,
     edits: Sequence[Callable[[Splats], Splats]] = (),
     read: Callable[[FilePath], Content] | None = None,
     read_back: Callable[[FilePath], Content] | None = None,
@@ -85,6 +89,8 @@ def convert(
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
         drop_invalid: Drop rows that cannot be drawn, and warn about them.
+        origin: The point of the sources that positions are relative to; None for one that float32
+            needs. Formats without one then store positions relative to it.
         edits: Applied to the merged splats, in this order.
         read: Replaces the reader of the sources, for example to set options.
         read_back: Replaces the reader of the target.
@@ -99,14 +105,14 @@ def convert(
     writer = write or _writer_for_target(codec, target)
     sources = [source] if isinstance(source, str | os.PathLike) else list(source)
     most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
-    can_convert_in_parts = not (read or write or drop_invalid or is_streamed_meta(target))
+    can_convert_in_parts = not (read or write or drop_invalid or origin or is_streamed_meta(target))
     if can_convert_in_parts and len(sources) == 1 and codec.name in PART_WRITERS:
         large_parts = open_parts(
             sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED_VALUES
         )
         if large_parts is not None:
             return _convert_parts(large_parts, target, codec, step)
-    read = read or partial(open_splats, drop_invalid=drop_invalid)
+    read = read or partial(open_splats, drop_invalid=drop_invalid, origin=origin)
     parts: list[Splats] = []
     for path in sources:
         step(f"reading {path}")
@@ -121,9 +127,11 @@ def convert(
     for index, edit in enumerate(edits):
         step(f"edit {index + 1} of {len(edits)}")
         splats = edit(splats)
+    if origin is None and "origin" not in codec.keeps_flags:
+        splats = near_zero(splats)
     reduced = with_degree(splats, most_degree)
     degree = (splats.degree, reduced.degree)
-    lost_features = _lost_features(degree, codec, splats)
+    lost_features = _lost_features(degree, codec, splats, splats.origin)
     del splats
     step(f"writing {target}")
     make_folder(target)
@@ -152,8 +160,13 @@ def _compare_written_splats(
     splats: Splats, target: FilePath, codec: Codec, read: Callable[[FilePath], Content]
 ) -> tuple[Difference, ...]:
     """Return the differences between splats and the file that they were written to."""
-    read_back_splats = read(target)
+    with warnings.catch_warnings():
+        # The reader of the source has named the origin.
+        warnings.filterwarnings("ignore", ".*positions are relative to", FormatWarning)
+        read_back_splats = read(target)
     assert isinstance(read_back_splats, Splats)  # every writer writes splats
+    if "origin" not in codec.keeps_flags:
+        read_back_splats = replace(read_back_splats, origin=splats.origin)
     order = codec.order(splats) if codec.order else np.arange(len(splats))
     return differences(rows_of(splats, order), read_back_splats)
 
@@ -175,7 +188,7 @@ def _convert_parts(
         count=count,
         degree=degrees,
         sizes=(written_bytes(parts.path), written_bytes(target)),
-        lost=_lost_features(degrees, codec, parts.table),
+        lost=_lost_features(degrees, codec, parts.table, next(iter(parts)).origin),
         differences=(),
         compared=False,
     )
@@ -207,18 +220,7 @@ def merge_splats(parts: Sequence[Splats]) -> Splats:
                 expected="the same for all",
                 hint="such splats cannot be drawn right in one file",
             )
-    first_origin = np.asarray(parts[0].origin)
-    return join_splats(
-        [
-            part
-            if part.origin == parts[0].origin
-            else replace(
-                part,
-                position=(part.position + (np.asarray(part.origin) - first_origin)).astype("f4"),
-            )
-            for part in parts
-        ]
-    )
+    return join_splats(parts)
 
 
 def _total_bytes(paths: Sequence[FilePath]) -> int:
@@ -256,7 +258,7 @@ def _convert_points(
 
 
 def _lost_features(
-    degrees: tuple[int, int], codec: Codec, source: Splats | PlyTable
+    degrees: tuple[int, int], codec: Codec, source: Splats | PlyTable, origin: Origin
 ) -> tuple[str, ...]:
     lost_feature_names = []
     if degrees[1] < degrees[0]:
@@ -268,9 +270,10 @@ def _lost_features(
     if source.up != DEFAULT_UP and "up" not in codec.keeps_flags:
         direction = ", ".join(f"{value:g}" for value in source.up)
         lost_feature_names.append(f"the upward direction ({direction})")
-    if isinstance(source, Splats) and any(source.origin):
-        numbers = ", ".join(f"{value:.0f}" for value in source.origin)
-        lost_feature_names.append(f"the origin ({numbers}), which positions are relative to")
+    if any(origin) and "origin" not in codec.keeps_flags:
+        lost_feature_names.append(
+            f"the origin {origin_text(origin)}, which positions are relative to"
+        )
     if codec.order:
         lost_feature_names.append("the order of the splats")
     return tuple(lost_feature_names)

@@ -38,7 +38,8 @@ class Difference:
 def differences(original: Splats, converted: Splats) -> tuple[Difference, ...]:
     """Compare two sets of splats row by row, in activated quantities such as opacity in [0, 1].
 
-    Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
+    Positions are in scene units, and their largest error includes that of reading the original;
+    rotations in degrees, scales in percent (flat axes aside),
     opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
     """
     if len(original) != len(converted):
@@ -54,6 +55,7 @@ def differences(original: Splats, converted: Splats) -> tuple[Difference, ...]:
         largest[name] = max(largest[name], float(np.abs(difference).max(initial=0)))
         squares[name] += float(np.square(difference).sum())
         counts[name] += difference.size
+    largest["position"] += original.rounding
     return tuple(
         Difference(
             name, units.get(name, ""), largest[name], math.sqrt(squares[name] / counts[name])
@@ -66,10 +68,14 @@ def differences(original: Splats, converted: Splats) -> tuple[Difference, ...]:
 def _field_differences(
     original: Splats, converted: Splats
 ) -> Iterator[tuple[str, Float64[np.ndarray, "..."]]]:
+    shift = np.subtract(original.origin, converted.origin)
     shared_count = min(original.sh.shape[1], converted.sh.shape[1])
     for start in range(0, len(original), _CHUNK_ROWS):
         part = slice(start, start + _CHUNK_ROWS)
-        yield "position", _field_difference(original.position[part], converted.position[part])
+        yield (
+            "position",
+            _field_difference(original.position[part], converted.position[part]) + shift,
+        )
         yield "rotation", _degrees(original.rotation[part], converted.rotation[part])
         yield "scale", _percent_text(original.log_scale[part], converted.log_scale[part])
         opacities = (sigmoid(splats.logit_opacity[part]) for splats in (original, converted))

@@ -4,7 +4,7 @@ import zipfile
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float, Shaped
 
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.shared.bytes import not_recognised
@@ -12,6 +12,7 @@ from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInva
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
+from gsgen.formats.shared.origins import relative_positions
 from gsgen.formats.shared.splats import PackedRows, PointCloud
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
@@ -32,7 +33,7 @@ def read_npz(
 
     The first are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
     is kept. Points are ``colors`` [n, 3] in uint8 or in floats from 0 to 1, and one of
-    ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32. Other arrays are named in a FormatWarning.
+    ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32, doubles relative to an origin where they need one. Other arrays are named in a FormatWarning.
 
     Args:
         path: The archive, as ``np.savez`` or ``np.savez_compressed`` writes it.
@@ -96,8 +97,8 @@ def _native_byte_order(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "
 def _cloud(
     key: str, points: Shaped[np.ndarray, "..."], colors: Shaped[np.ndarray, "..."]
 ) -> PointCloud:
-    position = _float32_triples(points, key)
-    color = _float32_triples(colors, _COLORS_KEY, extra_dtype=np.uint8)
+    position, origin, rounding = relative_positions(_triples(points, key))
+    color = _triples(colors, _COLORS_KEY, extra_dtype=np.uint8).astype(np.float32, copy=False)
     require_rows(len(position), f"array {key}")
     if len(color) != len(position):
         raise ValueInvalid(
@@ -109,13 +110,13 @@ def _cloud(
         color /= np.float32(255)
     require_finite(position, [f"array {key}[:, {axis}]" for axis in range(3)])
     require_colors(color, [f"array {_COLORS_KEY}[:, {axis}]" for axis in range(3)])
-    return PointCloud(position, color)
+    return PointCloud(position, color, origin, rounding)
 
 
-def _float32_triples(
+def _triples(
     array: Shaped[np.ndarray, "..."], key: str, *, extra_dtype: type[np.uint8] | None = None
-) -> Float32[np.ndarray, "n 3"]:
-    """Convert an [n, 3] array of floats (or of the dtype ``extra_dtype``) to float32; raise otherwise."""
+) -> Float[np.ndarray, "n 3"]:
+    """Convert an [n, 3] array of floats (or of ``extra_dtype``) to float32, doubles to float64."""
     has_valid_dtype = array.dtype.kind == "f" or array.dtype == extra_dtype
     if not has_valid_dtype or array.shape[1:] != (3,):
         dtypes = f"{np.dtype(extra_dtype).name} or float" if extra_dtype else "float"
@@ -124,6 +125,5 @@ def _float32_triples(
             where=f"array {key}",
             expected=f"{dtypes} [n, 3]",
         )
-    # A double beyond float32 becomes infinite, which the check of values refuses.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return array.astype(np.float32, order="C")
+    dtype = np.float64 if array.dtype.itemsize > np.dtype(np.float32).itemsize else np.float32
+    return np.array(array, dtype, order="C")

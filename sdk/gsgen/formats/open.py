@@ -10,12 +10,15 @@ from gsgen.formats.inputs import TRAINING_HINT, resolve_input, training_folder
 from gsgen.formats.shared.errors import FormatError, FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.notices import warn_unused
+from gsgen.formats.shared.origins import Origin, placed
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.shared.suspicions import warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
 
 
-def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
+def open_splats(
+    path: FilePath, *, drop_invalid: bool = False, origin: Origin | None = None
+) -> Splats | PointCloud | PackedRows:
     """Read a splat file of any supported format, detected from its content.
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
@@ -26,6 +29,8 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
         path: The file, or its address: ``https://``, ``hf://OWNER/NAME/FILE``, ``s3://``, ….
         drop_invalid: Drop rows that cannot be drawn, and warn about them (FormatWarning); see
             :func:`read_ply`.
+        origin: The point of the file that positions become relative to; None for 0, or for a point
+            that float32 needs to keep the digits of coordinates such as those of maps.
 
     Returns:
         ``Splats``; or ``PointCloud`` where a PLY or NPZ file holds points, or
@@ -47,7 +52,7 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
     file = resolve_input(path)
     codec = require_codec(file)
     try:
-        content = codec.read(file, drop_invalid=drop_invalid)
+        content = placed(codec.read(file, drop_invalid=drop_invalid), origin, path)
     except FormatError as error:
         if run is not None and not error.hint:
             error.hint = TRAINING_HINT

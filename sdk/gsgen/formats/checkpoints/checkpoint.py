@@ -34,6 +34,7 @@ from gsgen.formats.shared.errors import NotSupported, PropertyMissing, ValueInva
 from gsgen.formats.shared.files import FilePath, open_file, stream_size
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
+from gsgen.formats.shared.origins import relative_positions
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
 from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
@@ -220,9 +221,11 @@ def _splats(archive: TorchArchive, layout: _CheckpointLayout) -> Splats:
     references = [layout.tensors[name] for name in layout.names]
     _require_shapes(layout.names, references)
     arrays = [
-        archive.array(tensor, name) for name, tensor in zip(layout.names, references, strict=True)
+        archive.array(tensor, name, keep_doubles=index == 0)
+        for index, (name, tensor) in enumerate(zip(layout.names, references, strict=True))
     ]
-    position, rotation, log_scale, opacity, dc, rest = arrays
+    wide_position, rotation, log_scale, opacity, dc, rest = arrays
+    position, origin, rounding = relative_positions(wide_position)
     if layout.has_sigmoid_colors:
         dc = (sigmoid(dc) - np.float32(0.5)) / np.float32(SH_C0)
     return Splats(
@@ -232,6 +235,8 @@ def _splats(archive: TorchArchive, layout: _CheckpointLayout) -> Splats:
         logit_opacity=opacity.reshape(-1),
         sh=_joined(dc, rest),
         antialiased=layout.antialiased,
+        origin=origin,
+        rounding=rounding,
     )
 
 

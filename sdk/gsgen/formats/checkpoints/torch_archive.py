@@ -7,7 +7,7 @@ import zipfile
 from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float
 
 from gsgen.formats.checkpoints.pickled_data import TensorReference, pickled_data
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported, SizeExceeded, ValueInvalid
@@ -47,8 +47,12 @@ class TorchArchive:
         with unpacking("data.pkl"):
             return pickled_data(self._read_member("data.pkl", _MAX_PICKLE_BYTES))
 
-    def array(self, tensor: TensorReference, name: str) -> Float32[np.ndarray, "..."]:
+    def array(
+        self, tensor: TensorReference, name: str, *, keep_doubles: bool = False
+    ) -> Float[np.ndarray, "..."]:
         """Read a floating-point tensor of the archive as float32.
+
+        With ``keep_doubles``, a tensor of float64 stays float64.
 
         Raises:
             ArchiveDamaged: The numbers are missing, or fewer than the shape needs.
@@ -68,6 +72,8 @@ class TorchArchive:
             self._count_numbers(strided_array.size, name)
             if dtype == "bfloat16":  # the upper half of a float32
                 return (strided_array.astype(np.uint32) << 16).view(np.float32)
+            if keep_doubles and dtype == "float64":
+                return strided_array.astype(np.float64, order="C")
             # A double beyond float32 becomes infinite, which the check of values refuses.
             with np.errstate(over="ignore", invalid="ignore"):
                 return strided_array.astype(np.float32, order="C")

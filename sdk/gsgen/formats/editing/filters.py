@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float
 
 from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.morton import grid_order
@@ -26,11 +26,15 @@ _COMPARISONS: Final[dict[str, Callable[[np.ndarray, float], np.ndarray]]] = {
 }
 _CONDITION_PATTERN: Final = re.compile(r"\s*(\w+)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 
-Quantity = Callable[[Splats], Float32[np.ndarray, " n"]]
+Quantity = Callable[[Splats], Float[np.ndarray, " n"]]
 
 
 def _coordinate_quantity(axis: int) -> Quantity:
-    return lambda splats: splats.position[:, axis]
+    def coordinate(splats: Splats) -> Float[np.ndarray, " n"]:
+        offset = splats.position[:, axis]
+        return offset + np.float64(splats.origin[axis]) if any(splats.origin) else offset
+
+    return coordinate
 
 
 def _scale(axis: int) -> Quantity:
@@ -60,12 +64,12 @@ def morton_ordered(splats: Splats) -> Splats:
 
 
 def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
-    """Return the splats whose centres lie in a box, given as its low and its high corner.
+    """Return the splats whose centres lie in a box: its low and its high corner, in the file's coordinates.
 
     Raises:
         ValueInvalid: A low coordinate is above the high one.
     """
-    low, high = np.array(corners[:3]), np.array(corners[3:])
+    low, high = np.subtract(corners[:3], splats.origin), np.subtract(corners[3:], splats.origin)
     if (low > high).any():
         raise ValueInvalid(
             f"the corners are {corners}",
@@ -77,8 +81,8 @@ def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
 
 
 def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:
-    """Return the splats whose centres lie in a sphere, given as centre and radius."""
-    offset = splats.position.astype(np.float64) - np.array(sphere[:3])
+    """Return the splats whose centres lie in a sphere: its centre, in the file's coordinates, and radius."""
+    offset = splats.position.astype(np.float64) - np.subtract(sphere[:3], splats.origin)
     inside_mask = np.square(offset).sum(axis=1) <= sphere[3] ** 2
     return rows_of(splats, np.asarray(inside_mask))
 

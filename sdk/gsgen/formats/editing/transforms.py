@@ -4,27 +4,27 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import quaternion_product, rotation_matrix
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.harmonics import rotate_sh
-from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, NO_ORIGIN, Splats
+from gsgen.formats.shared.origins import near_zero
+from gsgen.formats.shared.splats import Splats
 
 Vector = tuple[float, float, float]
 
 
 def translated(splats: Splats, offset: Vector) -> Splats:
     """Return ``splats`` moved by ``offset``, in scene units."""
-    origin = np.asarray(splats.origin, np.float64) + np.asarray(offset, np.float64)
-    if any(splats.origin) and np.abs(origin).max() > MAX_FLOAT32_OFFSET:
-        x, y, z = (float(value) for value in origin)
-        return replace(splats, origin=(x, y, z))
-    position = splats.position + origin
-    return replace(splats, position=position.astype(np.float32), origin=NO_ORIGIN)
+    x, y, z = (float(start + step) for start, step in zip(splats.origin, offset, strict=True))
+    moved = near_zero(replace(splats, origin=(x, y, z)))
+    # Sums of float32 are no loss of the file, unless its positions needed an origin.
+    return moved if any(splats.origin) else replace(moved, rounding=splats.rounding)
 
 
 def scaled(splats: Splats, factor: float) -> Splats:
-    """Return ``splats`` with positions and sizes multiplied by ``factor``.
+    """Return ``splats`` with the positions of the file, and sizes, multiplied by ``factor``.
 
     Raises:
         ValueInvalid: ``factor`` is not a finite number above 0.
@@ -37,11 +37,13 @@ def scaled(splats: Splats, factor: float) -> Splats:
         splats,
         position=(splats.position * np.float64(factor)).astype(np.float32),
         log_scale=(splats.log_scale + math.log(factor)).astype(np.float32),
+        origin=_vector(factor * np.asarray(splats.origin)),
+        rounding=factor * splats.rounding,
     )
 
 
 def rotated(splats: Splats, angles: Vector) -> Splats:
-    """Return ``splats`` rotated about the origin, including their spherical harmonics.
+    """Return ``splats`` rotated about 0, 0, 0 of the file, including their spherical harmonics.
 
     Args:
         splats: The splats.
@@ -59,4 +61,10 @@ def rotated(splats: Splats, angles: Vector) -> Splats:
         position=(splats.position @ matrix.T).astype(np.float32),
         rotation=quaternion_product(quaternion, splats.rotation).astype(np.float32),
         sh=rotate_sh(splats.sh, matrix),
+        origin=_vector(matrix @ splats.origin),
     )
+
+
+def _vector(numbers: Float64[np.ndarray, "3"]) -> Vector:
+    x, y, z = (float(number) + 0.0 for number in numbers)  # no -0
+    return x, y, z

@@ -198,7 +198,7 @@ def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, s
 def write_glb(path: FilePath, splats: Splats) -> None:
     """Write ``splats`` to ``path`` as a GLB file with the extension KHR_gaussian_splatting.
 
-    All numbers are float32. Scales become linear, opacities become fractions of 1 and quaternions
+    All numbers are float32; the origin is the translation of the node. Scales become linear, opacities become fractions of 1 and quaternions
     are normalised, which costs their last digits. An opacity that rounds to 1 is infinite when
     read.
     The file is written completely or not at all.
@@ -210,7 +210,8 @@ def write_glb(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
-        arrays = _attributes(flip(splats, RDF_LUF))
+        turned_splats = flip(splats, RDF_LUF)
+        arrays = _attributes(turned_splats)
         size = sum(array.nbytes for array in arrays.values())
         if size > _MAX_UINT32 - _RESERVED_HEADER_BYTES:
             raise ValueInvalid(
@@ -219,7 +220,7 @@ def write_glb(path: FilePath, splats: Splats) -> None:
                 expected="less than 4 GiB, the limit of GLB",
             )
     with replace_file(path) as file:
-        file.write(build(_document(arrays, splats), size))
+        file.write(build(_document(arrays, turned_splats), size))
         for array in arrays.values():
             file.write(np.ascontiguousarray(array, "<f4").data)
 
@@ -271,7 +272,7 @@ def _document(arrays: dict[str, Float32[np.ndarray, "n w"]], splats: Splats) -> 
         "extensionsUsed": [EXTENSION_NAME],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0} | ({"translation": splats.origin} if any(splats.origin) else {})],
         "meshes": [{"primitives": [primitive]}],
         "buffers": [{"byteLength": offset}],
         "bufferViews": views,

@@ -20,6 +20,7 @@ from gsgen.formats.glb.container import (
 )
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported
 from gsgen.formats.shared.harmonics import rotate_sh
+from gsgen.formats.shared.origins import relative_positions
 from gsgen.formats.shared.quantities import log, rotations, unit
 from gsgen.formats.shared.splats import Splats
 
@@ -94,13 +95,17 @@ def _local_matrix(node: Json, where: str) -> Matrix:
 
 
 def transform_splats(splats: Splats, matrix: Matrix) -> Splats:
-    """Transform ``splats`` by a matrix M: Σ becomes M Σ Mᵀ, and SH are rotated."""
+    """Transform ``splats`` by a matrix M: Σ becomes M Σ Mᵀ, and SH are rotated.
+
+    Positions that float32 would round become relative to an origin.
+    """
     linear_part = matrix[:3, :3]
     if np.array_equal(matrix, np.eye(4)):
         return splats
     u, sizes, right_vectors = np.linalg.svd(linear_part)
     rotation_part = u @ right_vectors
-    position = splats.position @ linear_part.T + matrix[:3, 3]
+    offset = linear_part @ splats.origin + matrix[:3, 3]
+    position, origin, rounding = relative_positions(splats.position @ linear_part.T + offset)
     if np.allclose(sizes, sizes[0], rtol=1e-6):  # without shear the axes stay orthogonal
         rotation = _rotated_quaternions(splats.rotation, rotation_part)
         log_scale = splats.log_scale + np.float32(np.log(sizes[0]))
@@ -112,7 +117,9 @@ def transform_splats(splats: Splats, matrix: Matrix) -> Splats:
         rotation, log_scale = rotations(axes), log(scale)
     return replace(
         splats,
-        position=position.astype(np.float32),
+        position=position,
+        origin=origin,
+        rounding=rounding if any(origin) else 0.0,
         rotation=rotation,
         log_scale=log_scale.astype(np.float32),
         sh=rotate_sh(splats.sh, rotation_part),

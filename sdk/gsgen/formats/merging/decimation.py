@@ -2,6 +2,8 @@
 
 __all__ = ["decimate"]
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64, Int64
 
@@ -28,14 +30,13 @@ def decimate(splats: Splats, count: int) -> Splats:
     mixture = mixture.rows(np.argsort(codes, kind="stable"))
     merged_mixture = merge_clusters(mixture, _cluster_starts(mixture, count))
     result = splats_of(merged_mixture, stored_degree(merged_mixture))
-    return Splats(
+    return replace(
+        splats,
         position=result.position,
         rotation=result.rotation,
         log_scale=result.log_scale,
         logit_opacity=result.logit_opacity,
         sh=result.sh,
-        antialiased=splats.antialiased,
-        color_space=splats.color_space,
     )
 
 

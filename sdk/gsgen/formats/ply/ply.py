@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from gsgen.formats.ply.columns import read_columns
 from gsgen.formats.ply.header import COLOR_SPACE, Element, Encoding, Header, parse_header
@@ -21,11 +21,12 @@ from gsgen.formats.ply.layout import (
 from gsgen.formats.ply.methods import FILTER_PROPERTY, require_still_splats, with_smoothing_filter
 from gsgen.formats.ply.packed import is_packed, read_packed
 from gsgen.formats.ply.unused import unused_parts
-from gsgen.formats.ply.values import VERTEX, near_origin, only_finite, require_cloud, splat_labels
+from gsgen.formats.ply.values import VERTEX, only_finite, require_cloud, splat_labels
 from gsgen.formats.ply.write import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid, join_names
 from gsgen.formats.shared.files import FilePath, map_file
 from gsgen.formats.shared.notices import warn_unused
+from gsgen.formats.shared.origins import Origin, is_printed_float32, relative_positions
 from gsgen.formats.shared.quantities import SH_C0
 from gsgen.formats.shared.splat_values import DROP_HINT, drawable
 from gsgen.formats.shared.splats import DEFAULT_UP, PointCloud, Splats
@@ -100,8 +101,8 @@ def _read_splats(
         groups |= {FILTER_PROPERTY: (FILTER_PROPERTY,)}
     names = tuple(name for group in groups.values() for name in group)
     require_rows(vertex.count, VERTEX)
-    tables = read_columns(data, header, vertex, groups, _wide_groups(vertex))
-    position, origin = near_origin(tables["position"], path)
+    tables = read_columns(data, header, vertex, groups, _wide_groups(header, vertex))
+    position, origin, rounding = _near_positions(tables["position"], vertex)
     log_scale, logit_opacity = tables["log_scale"], tables["logit_opacity"].reshape(-1)
     if has_filter:
         log_scale, logit_opacity = with_smoothing_filter(
@@ -120,6 +121,7 @@ def _read_splats(
         color_space=space,
         up=header.up or DEFAULT_UP,
         origin=origin,
+        rounding=rounding,
     )
     labels = splat_labels(splats)
     try:
@@ -134,9 +136,24 @@ def _read_splats(
     return _PlyContent(splats, {vertex.name: names, **used_space})
 
 
-def _wide_groups(vertex: Element) -> tuple[str, ...]:
-    """Return the arrays that are read as float64: positions that are declared as doubles."""
-    return ("position",) if "f8" in [vertex.types[axis] for axis in XYZ] else ()
+def _wide_groups(header: Header, vertex: Element) -> tuple[str, ...]:
+    """Return the arrays that are read as float64: positions of text, doubles or integers."""
+    is_float32 = {vertex.types[axis] for axis in XYZ} <= {"f4"}
+    return () if is_float32 and header.encoding != "ascii" else ("position",)
+
+
+def _near_positions(
+    position: Float[np.ndarray, "n 3"], vertex: Element
+) -> tuple[Float32[np.ndarray, "n 3"], Origin, float]:
+    """Return positions as float32, their origin, and the largest error.
+
+    Text that declares ``float`` is float32, unless its numbers need an origin.
+    """
+    is_float32 = {vertex.types[axis] for axis in XYZ} == {"f4"}
+    if is_float32 and is_printed_float32(position):
+        position = position.astype(np.float32)
+    position32, origin, rounding = relative_positions(position)
+    return position32, origin, 0.0 if is_float32 and not any(origin) else rounding
 
 
 def _constant_term(
@@ -173,11 +190,11 @@ def _read_cloud(
     colors = cloud_colors(vertex.types)
     require_rows(vertex.count, VERTEX)
     groups = {"position": XYZ, "color": colors}
-    tables = read_columns(data, header, vertex, groups, _wide_groups(vertex))
-    position, _ = near_origin(tables["position"], path)
+    tables = read_columns(data, header, vertex, groups, _wide_groups(header, vertex))
+    position, origin, rounding = _near_positions(tables["position"], vertex)
     if vertex.types[colors[0]] == "u1":
         tables["color"] /= np.float32(255)
-    cloud = PointCloud(position=position, color=tables["color"])
+    cloud = PointCloud(position, tables["color"], origin, rounding)
     try:
         if drop_invalid:
             cloud = only_finite(cloud, path)

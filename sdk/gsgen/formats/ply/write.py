@@ -7,7 +7,7 @@ from itertools import islice
 from typing import BinaryIO, Final, Literal, final
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float
 
 from gsgen.formats.ply.header import (
     ANTIALIASED_COMMENT,
@@ -20,6 +20,7 @@ from gsgen.formats.ply.layout import COLORS, XYZ, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
 from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.files import FilePath, naming, replace_file
+from gsgen.formats.shared.origins import in_file_coordinates
 from gsgen.formats.shared.splats import DEFAULT_UP, PointCloud, Splats
 
 CHUNK_ROWS = 1 << 12
@@ -39,8 +40,8 @@ class _Block:
     """
 
     names: Sequence[str]
-    code: Literal["f4", "u1"]
-    values: Float32[np.ndarray, "n ..."]
+    code: Literal["f4", "f8", "u1"]
+    values: Float[np.ndarray, "n ..."]
 
 
 def write_ply(
@@ -48,7 +49,7 @@ def write_ply(
 ) -> None:
     """Write splats or coloured points to ``path`` as a PLY file.
 
-    Splats are kept bit for bit. The colours of a point cloud are written as bytes, which other
+    Splats are kept bit for bit; positions with an origin become doubles. The colours of a point cloud are written as bytes, which other
     programs expect, with an error of at most 1/510. The file is written completely or not at
     all.
 
@@ -109,11 +110,11 @@ class PlyFrames:
         if splats.sh.nbytes > _MAX_SH_BYTES:
             write_ply(path, splats)
             return
-        does_keep_colors = splats.sh is self._sh
+        encoding: Encoding = "binary_little_endian"
+        blocks = _splat_blocks(splats)
+        does_keep_colors = splats.sh is self._sh and self._rows.dtype == _row_type(blocks, encoding)
         with naming(path):
             require_splats(splats, checked_fields=("sh",) if does_keep_colors else ())
-        blocks = _splat_blocks(splats)
-        encoding: Encoding = "binary_little_endian"
         if not does_keep_colors:
             self._sh = _EMPTY_HIGHER_SH  # until the rows hold them
             self._rows = np.empty(len(splats), _row_type(blocks, encoding))
@@ -132,33 +133,40 @@ class PlyFrames:
         self._sh = splats.sh
 
 
+def _position_block(content: Splats | PointCloud) -> _Block:
+    """Return the positions: doubles in the coordinates of the file where they have an origin."""
+    if any(content.origin):
+        return _Block(XYZ, "f8", in_file_coordinates(content))
+    return _Block(XYZ, "f4", content.position)
+
+
 def _splat_blocks(splats: Splats) -> list[_Block]:
-    names = iter(splat_names(splats.degree))
+    names = iter(splat_names(splats.degree)[len(XYZ) :])
     arrays = (
-        splats.position,
         splats.sh[:, 0],
         splats.sh[:, 1:].transpose(0, 2, 1),  # all of red, then green, then blue
         splats.logit_opacity,
         splats.log_scale,
         splats.rotation,
     )
-    return [
+    blocks = [
         _Block(list(islice(names, math.prod(array.shape[1:]))), "f4", array)
         for array in arrays
         if array.size  # degree 0 has no further harmonics
     ]
+    return [_position_block(splats), *blocks]
 
 
 def _point_blocks(cloud: PointCloud) -> list[_Block]:
     color = np.rint(cloud.color * np.float32(255))
-    return [_Block(XYZ, "f4", cloud.position), _Block(COLORS[0], "u1", color)]
+    return [_position_block(cloud), _Block(COLORS[0], "u1", color)]
 
 
 def _header(
     blocks: Sequence[_Block], count: int, encoding: Encoding, flags: Splats | None
 ) -> bytes:
     """Return the header of a PLY file; splats declare what differs from 3DGS training."""
-    type_names = {"f4": "float", "u1": "uchar"}
+    type_names = {"f4": "float", "f8": "double", "u1": "uchar"}
     lines = ["ply", f"format {encoding} 1.0"]
     if flags is not None and flags.antialiased:
         lines.append(ANTIALIASED_COMMENT)
@@ -203,8 +211,9 @@ def _write_rows(file: BinaryIO, blocks: Sequence[_Block], encoding: Encoding) ->
 
 
 def _write_lines(file: BinaryIO, blocks: Sequence[_Block]) -> None:
-    # Nine digits identify every float32.
-    digits = ["%.9g" if block.code == "f4" else "%d" for block in blocks for _ in block.names]
+    # Nine digits identify every float32, seventeen every double.
+    formats = {"f4": "%.9g", "f8": "%.17g", "u1": "%d"}
+    digits = [formats[block.code] for block in blocks for _ in block.names]
     for start in range(0, len(blocks[0].values), CHUNK_ROWS):
         parts = [block.values[start : start + CHUNK_ROWS] for block in blocks]
         np.savetxt(file, np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1), fmt=digits)

@@ -52,6 +52,7 @@ def flip(splats: Splats, signs: AxisSigns) -> Splats:
             splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)
         ),
         sh=_multiply_by_signs(splats.sh, sh_signs(splats.degree, signs)[:, None]),
+        origin=(x * splats.origin[0] + 0.0, y * splats.origin[1] + 0.0, z * splats.origin[2] + 0.0),
     )
 
 

@@ -5,13 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32
 
+from gsgen.formats.shared.origins import join_origins
 from gsgen.formats.shared.splats import Splats
 
 
 def join_splats(parts: Sequence[Splats]) -> Splats:
-    """Concatenate sets of splats; SH coefficients that a set lacks are zero."""
+    """Concatenate sets of splats; SH coefficients that a set lacks are zero.
+
+    Different origins become one in the middle.
+    """
     if len(parts) == 1:
         return parts[0]
+    parts = join_origins(parts)
     count = max(part.sh.shape[1] for part in parts)
 
     def join(name: str) -> Float32[np.ndarray, "..."]:
@@ -30,4 +35,5 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
         color_space=parts[0].color_space,
         up=parts[0].up,
         origin=parts[0].origin,
+        rounding=max(part.rounding for part in parts),
     )

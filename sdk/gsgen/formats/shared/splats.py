@@ -1,6 +1,7 @@
 """The data classes of splats, points and packed Gaussians that readers and writers share."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
@@ -42,6 +43,7 @@ class Splats:
         color_space: The colour space of the colours; few formats store it.
         up: The upward direction, if the file declares one; else that of 3DGS training, -y.
         origin: The point of the file's world that positions are relative to.
+        rounding: At most so far is a position from that of the file, in scene units.
 
     Raises:
         ValueInvalid: An array has a wrong shape or data type.
@@ -56,6 +58,7 @@ class Splats:
     color_space: Literal["srgb", "linear"] = "srgb"
     up: tuple[float, float, float] = DEFAULT_UP
     origin: tuple[float, float, float] = NO_ORIGIN
+    rounding: float = 0.0
 
     def __post_init__(self) -> None:
         _require_array("position", self.position, ("float32",), ("n", 3))
@@ -83,13 +86,13 @@ class Splats:
         """Return a picture and the main facts of the splats as HTML, for notebooks."""
         rows = [
             ("SH degree", str(self.degree)),
-            ("box", _box(self.position)),
+            ("box", _box(self.position, self.origin)),
             ("training", self._training_mode_text),
         ]
         return summary_html(f"{len(self):,} splats", rows, preview_png(self))
 
     def __repr__(self) -> str:
-        facts = f"SH degree {self.degree}, box {_box(self.position)}, {self._training_mode_text}"
+        facts = f"SH degree {self.degree}, box {_box(self.position, self.origin)}, {self._training_mode_text}"
         return f"<Splats: {len(self):,} splats, {facts}>"
 
     @property
@@ -97,14 +100,15 @@ class Splats:
         return "antialiased" if self.antialiased else "classic"
 
 
-def _box(position: Float32[np.ndarray, "n 3"]) -> str:
+def _box(position: Float32[np.ndarray, "n 3"], origin: tuple[float, float, float]) -> str:
     if not len(position):
         return "empty"
-    return f"{_corner_text(position.min(axis=0))} to {_corner_text(position.max(axis=0))}"
+    corners = f"{_corner_text(position.min(axis=0))} to {_corner_text(position.max(axis=0))}"
+    return f"{corners} from {_corner_text(origin, digits=15)}" if any(origin) else corners
 
 
-def _corner_text(point: np.ndarray) -> str:
-    return f"({', '.join(f'{value:.3g}' for value in point)})"
+def _corner_text(point: Iterable[float], digits: int = 3) -> str:
+    return f"({', '.join(f'{value:.{digits}g}' for value in point)})"
 
 
 @final
@@ -115,6 +119,8 @@ class PointCloud:
     Attributes:
         position: The points, in scene units.
         color: Red, green, blue in [0, 1], in the colour space of the file.
+        origin: The point of the file's world that positions are relative to.
+        rounding: At most so far is a position from that of the file, in scene units.
 
     Raises:
         ValueInvalid: An array has a wrong shape or data type.
@@ -122,6 +128,8 @@ class PointCloud:
 
     position: Float32[np.ndarray, "n 3"]
     color: Float32[np.ndarray, "n 3"]
+    origin: tuple[float, float, float] = NO_ORIGIN
+    rounding: float = 0.0
 
     def __post_init__(self) -> None:
         _require_array("position", self.position, ("float32",), ("n", 3))
@@ -131,7 +139,7 @@ class PointCloud:
         return len(self.position)
 
     def __repr__(self) -> str:
-        return f"<PointCloud: {len(self):,} points, box {_box(self.position)}>"
+        return f"<PointCloud: {len(self):,} points, box {_box(self.position, self.origin)}>"
 
 
 @final
