@@ -10,7 +10,7 @@ from gsgen.formats.inputs import TRAINING_HINT, resolve_input, training_folder
 from gsgen.formats.shared.errors import FormatError, FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
 from gsgen.formats.shared.notices import warn_unused
-from gsgen.formats.shared.origins import Origin, placed
+from gsgen.formats.shared.origins import Origin, with_origin
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.shared.suspicions import warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
@@ -52,7 +52,7 @@ def open_splats(
     file = resolve_input(path)
     codec = require_codec(file)
     try:
-        content = placed(codec.read(file, drop_invalid=drop_invalid), origin, path)
+        content = with_origin(codec.read(file, drop_invalid=drop_invalid), origin, path)
     except FormatError as error:
         if run is not None and not error.hint:
             error.hint = TRAINING_HINT

@@ -167,6 +167,7 @@ def _rows_from_points(
         appearance=color,
         space="rgb" if sh_degree is None else "sh",
         description=f"{n:,} coloured points",
+        origin=points.origin if any(points.origin) else None,
         notes=(note,) if note else (),
     )
 

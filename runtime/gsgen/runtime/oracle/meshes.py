@@ -51,7 +51,8 @@ def cast_rays(
     depth = np.full(shape, np.inf)
     color, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     for mesh in meshes:
-        linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
+        matrix = mesh.vertices_to_world
+        linear, offset = matrix[:3, :3], matrix[:3, 3]
         corners = (mesh.data.vertices.astype(np.float64) @ linear.T + offset)[
             mesh.data.faces.astype(int)
         ]

@@ -93,7 +93,8 @@ def ellipses(
     rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera
 ) -> ScreenEllipses:
     """Project Gaussians, or groups (cells) of them, of a splat set into an image, as ellipses."""
-    linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
+    matrix = splat_set.rows_to_world
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
     rotation = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
         # Step 1: turn centres and covariances into camera space.
@@ -164,7 +165,7 @@ def drawn_splats(
         first: Index of the set's first Gaussian in the scene.
         visibility: Factor of the opacities; for weighted sums, the visibility of each row's cell.
     """
-    data, depth_range, clip = splat_set.data, splat_set.depth_range, splat_set.clip
+    data, depth_range, clip = splat_set.data, splat_set.depth_range, splat_set.rows_clip
     rows = data.rows[: data.count].astype(np.float64)
     shapes = ellipses(rows, splat_set, camera)
     with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
@@ -309,7 +310,8 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
     channels = data.appearance[: data.count].astype(np.float64)
     if data.space == "rgb":
         return np.asarray(channels[:, :3])
-    linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
+    matrix = splat_set.rows_to_world
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
     # Harmonics turn with the set: its transform is a stretch and then this rotation.
     left_vectors, _, right = np.linalg.svd(linear)
     rows = data.rows[: data.count, :3].astype(np.float64)

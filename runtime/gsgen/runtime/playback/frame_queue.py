@@ -52,6 +52,7 @@ class _DataState:
     appearance: Float[np.ndarray, "n c"]
     cells: Float[np.ndarray, "c 10"] | None
     count: int
+    origin: tuple[float, float, float]
 
     @classmethod
     def of(cls, data: SplatData) -> "_DataState":
@@ -61,6 +62,7 @@ class _DataState:
             appearance=data.appearance,
             cells=data.cells,
             count=data.count,
+            origin=data.origin,
         )
 
     def restore(self) -> None:
@@ -71,6 +73,7 @@ class _DataState:
             None if data.appearance is self.appearance else self.appearance,
             self.count,
             None if data.cells is self.cells else self.cells,
+            origin=self.origin,
         )
 
 

@@ -8,8 +8,10 @@ from typing import Final, Literal, final, get_args
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8, UInt32
 
+from gsgen.formats.shared.origins import relative_positions
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.scene.transforms import identity, require_affine
+from gsgen.runtime.scene.transforms import identity, moved, require_affine
 
 Shading = Literal["unlit", "headlight"]
 """How a mesh is lit: see :class:`Mesh`."""
@@ -36,6 +38,7 @@ class MeshData:
 
     Attributes:
         vertices: As float32.
+        origin: The point that vertices are relative to, where float32 would round coordinates.
         faces: As uint32.
         colors: As float32, [V, 3].
         uv: As float32, or None.
@@ -48,6 +51,7 @@ class MeshData:
     """
 
     vertices: Float32[np.ndarray, "v 3"]
+    origin: tuple[float, float, float]
     faces: UInt32[np.ndarray, "f 3"]
     colors: Float32[np.ndarray, "v 3"]
     uv: Float32[np.ndarray, "v 2"] | None
@@ -65,7 +69,7 @@ class MeshData:
         texture: UInt8[np.ndarray, "h w c"] | None = None,
         color_space: Literal["srgb", "linear"] = "srgb",
     ) -> None:
-        self.vertices = _float_array(vertices, "vertices", (3,))
+        self.vertices, self.origin = _relative_vertices(vertices)
         self.faces = _faces(faces, len(self.vertices))
         self.texture = None if texture is None else _rgba_texture(texture)
         self.uv = None if uv is None else _float_array(uv, "uv", (2,), len(self.vertices))
@@ -89,7 +93,7 @@ class MeshData:
         Raises:
             SceneInvalid: The number of vertices changed, or one is not finite.
         """
-        self.vertices = _float_array(vertices, "vertices", (3,), len(self.vertices))
+        self.vertices, self.origin = _relative_vertices(vertices, len(self.vertices))
         self.version += 1
 
     def __len__(self) -> int:
@@ -121,9 +125,25 @@ class Mesh:
         require_affine(matrix)
         _require_one_of(self.shading, SHADINGS, "shading")
 
+    @property
+    def vertices_to_world(self) -> Float[np.ndarray, "4 4"]:
+        """The transform of the vertices, which are relative to the origin of ``data``, to the world."""
+        return moved(self.transform, self.data.origin)
+
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> "Mesh":
         """Return the mesh with another transform applied after its own transform."""
         return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
+
+
+def _relative_vertices(
+    vertices: Float[np.ndarray, "v 3"], rows: int | None = None
+) -> tuple[Float32[np.ndarray, "v 3"], tuple[float, float, float]]:
+    """Return vertices as float32, and the origin that they are relative to."""
+    array = np.asarray(vertices)
+    if array.dtype != np.float64 or array.shape[1:] != (3,):
+        return _float_array(array, "vertices", (3,), rows), NO_ORIGIN
+    offset, origin, _ = relative_positions(array)
+    return _float_array(offset, "vertices", (3,), rows), origin
 
 
 def _require_one_of(value: str, allowed_values: tuple[str, ...], where: str) -> None:

@@ -16,7 +16,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
-from gsgen.runtime.scene.transforms import identity, require_affine
+from gsgen.runtime.scene.transforms import identity, moved, require_affine
 
 
 @final
@@ -74,6 +74,21 @@ class SplatSet:
             raise SceneInvalid(f"is {self.antialias!r}, expected classic or mip", where="antialias")
         if self.weighted is not None:
             _require_weights(self.weighted, self.data)
+
+    @property
+    def rows_to_world(self) -> Float[np.ndarray, "4 4"]:
+        """The transform of the rows, which are relative to the origin of ``data``, to the world."""
+        return moved(self.transform, self.data.origin)
+
+    @property
+    def rows_clip(self) -> Box | None:
+        """The clip box, relative to the origin of ``data`` as the rows are; None without one."""
+        if self.clip is None or not any(self.data.origin):
+            return self.clip
+        low, high = (
+            np.subtract(corner, self.data.origin) for corner in (self.clip.low, self.clip.high)
+        )
+        return Box(tuple(low.tolist()), tuple(high.tolist()))
 
     @property
     def depth_range(self) -> float | None:

@@ -11,6 +11,7 @@ from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
 from gsgen.formats import PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneInvalid
 
 _APPEARANCE_DTYPES = (np.dtype(np.float16), np.dtype(np.float32))
@@ -34,6 +35,8 @@ class SplatData:
         antialias: The default of the sets that draw it: ``mip`` if training used the filter of
             Mip-Splatting (Yu et al. 2023).
         color_space: The default of the scenes that draw it.
+        origin: The point of the local space that the positions of rows and cells are relative to,
+            for coordinates of millions, which float32 would round.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class SplatData:
         per_cell: int = 1,
         antialias: Literal["classic", "mip"] = "classic",
         color_space: Literal["srgb", "linear"] = "srgb",
+        origin: tuple[float, float, float] = NO_ORIGIN,
     ) -> None:
+        self.origin = origin
         self.antialias: Literal["classic", "mip"] = antialias
         self.color_space: Literal["srgb", "linear"] = color_space
         self.space: Literal["sh", "rgb"] = space
@@ -77,6 +82,7 @@ class SplatData:
             "sh",
             antialias="mip" if splats.antialiased else "classic",
             color_space=splats.color_space,
+            origin=splats.origin,
         )
 
     @classmethod
@@ -109,7 +115,7 @@ class SplatData:
         rows[:, layout.POSITION] = points.position
         rows[:, layout.OPACITY] = opacity
         rows[:, layout.COVARIANCE] = variance[:, None] * [1, 0, 0, 1, 0, 1]
-        return cls(rows, points.color, "rgb")
+        return cls(rows, points.color, "rgb", origin=points.origin)
 
     def update(
         self,
@@ -117,10 +123,11 @@ class SplatData:
         appearance: Float[np.ndarray, "n c"] | None = None,
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
+        origin: tuple[float, float, float] | None = None,
     ) -> None:
         """Replace packed Gaussians, colours or groups of Gaussians; shapes and dtypes stay equal.
 
-        Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
+        Arrays, and the origin, that are None stay as they are; ``count`` rows are live, or all if it is None.
 
         Raises:
             SceneInvalid: A shape or a dtype changed.
@@ -142,6 +149,7 @@ class SplatData:
                     where=name,
                 )
         self.rows, self.appearance, self.count = arrays
+        self.origin = self.origin if origin is None else origin
         if cells is not None:
             self.cells = self._next_cells(cells)
             self.cells_version += 1

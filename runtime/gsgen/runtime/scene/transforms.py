@@ -1,6 +1,6 @@
 """Affine transforms from an object's local space to the world."""
 
-__all__ = ["identity", "require_affine"]
+__all__ = ["identity", "moved", "require_affine"]
 
 from typing import Final
 
@@ -16,6 +16,17 @@ _MAX_CONDITION_NUMBER: Final = 1e6
 def identity() -> Float[np.ndarray, "4 4"]:
     """Return the identity transform, [4, 4]."""
     return np.eye(4)
+
+
+def moved(
+    transform: Float[np.ndarray, "4 4"], origin: tuple[float, float, float]
+) -> Float[np.ndarray, "4 4"]:
+    """Return a local → world transform for positions that are relative to a local origin."""
+    if not any(origin):
+        return transform
+    matrix = transform.copy()
+    matrix[:3, 3] += matrix[:3, :3] @ origin
+    return matrix
 
 
 def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -> None:

@@ -35,4 +35,5 @@ class MeshSource(StaticSource):
 def _vertices(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
     """Return the vertices of a mesh, in world space, that at least one face uses."""
     used = mesh.data.vertices[np.unique(mesh.data.faces)].astype(np.float64)
-    return np.asarray(used @ mesh.transform[:3, :3].T + mesh.transform[:3, 3])
+    matrix = mesh.vertices_to_world
+    return np.asarray(used @ matrix[:3, :3].T + matrix[:3, 3])

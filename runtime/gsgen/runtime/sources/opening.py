@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.formats.shared.origins import Origin
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -24,6 +25,7 @@ def open_source(
     sizes: Mapping[str, int] | None = None,
     stream: StreamOpener | None = None,
     confined: "ConfinedModels | None" = None,
+    origin: Origin | None = None,
 ) -> Source:
     """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
@@ -33,6 +35,8 @@ def open_source(
         sizes: Symbol → size of an open dimension of a generator.
         stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
         confined: Runs a generator in a child process with limits; None runs it in this process.
+        origin: The point of a splat file that float32 positions are relative to; None for 0, or
+            for a point that float32 needs to keep the digits of coordinates such as those of maps.
 
     Raises:
         SceneUnreadable: The file holds no Gaussians or triangles that can be read.
@@ -44,7 +48,11 @@ def open_source(
     if not path.exists() or path.suffix.lower() == ".zip":
         path = _on_disk(path)
     if files := sequence_files(path):
-        return SequenceSource(path, files) if len(files) > 1 else StillFrameSource(files[0])
+        return (
+            SequenceSource(path, files, origin)
+            if len(files) > 1
+            else StillFrameSource(files[0], origin)
+        )
     if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes, confined)
     if names_tileset(path):
@@ -55,7 +63,7 @@ def open_source(
                 hint="Pass stream=gsgen.tiles.open_stream.",
             )
         return stream(path, provider)
-    return MeshSource(path) if is_mesh(path) else StillFrameSource(path)
+    return MeshSource(path) if is_mesh(path) else StillFrameSource(path, origin)
 
 
 def _on_disk(path: Path) -> Path:

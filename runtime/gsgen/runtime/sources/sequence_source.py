@@ -10,6 +10,7 @@ import numpy as np
 
 from gsgen.contract.spec.manifest import Input
 from gsgen.formats.codecs import codec_of_suffix
+from gsgen.formats.shared.origins import Origin
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.natural_order import natural_key
@@ -71,27 +72,33 @@ class SequenceSource(Source):
     Args:
         path: The folder, or the pattern, for messages.
         files: The files in order, two or more.
+        origin: The point of the files that positions are relative to; None for one of each file.
 
     Raises:
         SceneUnreadable: A file cannot be read.
         SceneInvalid: Files differ in what their colours are, or in antialiasing.
     """
 
-    def __init__(self, path: Path, files: list[Path]) -> None:
-        self.name, self.files = str(path), files
+    def __init__(self, path: Path, files: list[Path], origin: Origin | None = None) -> None:
+        self.name, self.files, self._origin = str(path), files, origin
         self.inputs = (
             Input(name=_FRAME_INPUT, role="frame_index", shape=(1,), range=(0, len(files) - 1)),
         )
-        first, largest_count, channels = StillFrameSource(files[0]), 0, 0
+        first, largest_count, channels = self._open(files[0]), 0, 0
         self.antialias, self.color_space = first.antialias, first.color_space
         for file in files:
-            frame = StillFrameSource(file)
+            frame = self._open(file)
             self._require_equal_kind(file, frame, first)
             largest_count = max(largest_count, frame.data.count)
             channels = max(channels, frame.data.appearance.shape[1])
         self._shape, self._file_number, self._loaded_number = (largest_count, channels), 0, 0
         rows, appearance = self._pad_rows(first.data)
-        self.data = SplatData(rows, appearance, first.data.space, count=first.data.count)
+        self.data = SplatData(
+            rows, appearance, first.data.space, count=first.data.count, origin=first.data.origin
+        )
+
+    def _open(self, file: Path) -> StillFrameSource:
+        return StillFrameSource(file, self._origin)
 
     def _require_equal_kind(self, file: Path, frame: Source, first: Source) -> None:
         kinds = [
@@ -127,9 +134,9 @@ class SequenceSource(Source):
         """Read the file of the chosen frame, unless its Gaussians are the current ones."""
         if self._file_number == self._loaded_number:
             return
-        data = StillFrameSource(self.files[self._file_number]).data
+        data = self._open(self.files[self._file_number]).data
         rows, appearance = self._pad_rows(data)
-        self.data.update(rows, appearance, data.count)
+        self.data.update(rows, appearance, data.count, origin=data.origin)
         self._loaded_number = self._file_number
 
     def abandon(self) -> None:

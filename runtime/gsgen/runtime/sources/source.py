@@ -26,6 +26,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.manifest import Input, Space, WeightedSum
 from gsgen.formats import FormatError, FormatWarning, PackedRows, PointCloud, Splats, open_splats
 from gsgen.formats.shared.notices import MeshWarning
+from gsgen.formats.shared.origins import Origin
 from gsgen.runtime.errors import SceneUnreadable, locate_in_frame
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
@@ -202,7 +203,7 @@ class Source(ABC):
         that are placed by it stand still while Gaussians move. See :mod:`.framing`.
         """
         if self._extent is None:
-            self._extent = _box_extent(box_around(self.data))
+            self._extent = _box_extent(_box_in_file(self.data))
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
@@ -212,7 +213,7 @@ class Source(ABC):
             self.update(None, values, frame)
             state = (self.data.rows_version, self.data.count)
             if state not in boxes:
-                boxes[state] = box_around(self.data)
+                boxes[state] = _box_in_file(self.data)
         self._extent = _box_extent(union_of_boxes(list(boxes.values())))
 
     @abstractmethod
@@ -224,6 +225,12 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
     """Return the model inputs with this tensor name, or else with this input role."""
     exact_matches = [spec for spec in inputs if spec.name == word]
     return exact_matches or [spec for spec in inputs if spec.role == word]
+
+
+def _box_in_file(data: SplatData) -> Box | None:
+    """Return the box around the Gaussians but floaters, in the coordinates of their file."""
+    box = box_around(data)
+    return None if box is None else (box[0] + data.origin, box[1] + data.origin)
 
 
 def _box_extent(box: Box | None) -> tuple[Center, float]:
@@ -260,14 +267,19 @@ class StaticSource(Source):
 
 @final
 class StillFrameSource(StaticSource):
-    """The Gaussians of a splat file, the same in every frame, as a source for the renderer."""
+    """The Gaussians of a splat file, the same in every frame, as a source for the renderer.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: The file.
+        origin: The point of the file that float32 positions are relative to; see ``open_splats``.
+    """
+
+    def __init__(self, path: Path, origin: Origin | None = None) -> None:
         self.name = str(path)
         try:
             with warnings.catch_warnings(record=True) as caught_warnings:
                 warnings.simplefilter("always", FormatWarning)
-                content = open_splats(path, drop_invalid=True)
+                content = open_splats(path, drop_invalid=True, origin=origin)
         except FormatError as error:
             raise SceneUnreadable(str(error)) from error
         self.data = _splat_data(content)
@@ -275,8 +287,6 @@ class StillFrameSource(StaticSource):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
             self.up = content.up
-            if any(content.origin):
-                self.space = Space(origin=content.origin)
         for warning in caught_warnings:
             if issubclass(warning.category, MeshWarning):
                 self.meshes = read_mesh(path)  # drawn among the splats

@@ -8,17 +8,22 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.manifest import Space
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.sources.placed_source import PlacedSource
 from gsgen.runtime.sources.source import Source
 
 
 def align_world_origins(sources: Sequence[Source]) -> list[Source]:
-    """Move the sources of Gaussians that declare a world origin into the local space of the first.
+    """Place generators that declare a world origin beside each other and beside the other files.
 
-    Cameras, files and models without an origin are in that space, too. Offsets are computed in
-    float64: origins may be millions of units, and differ by a few.
+    Files with far coordinates are in the world, and so are cameras then: generators move to their
+    world origins. Without such files, generators move into the local space of the first, where
+    cameras, files and models without an origin are, too. Offsets are computed in float64: origins
+    may be millions of units, and differ by a few.
     """
     world_spaces = [source.space for source in sources if source.space and source.space.origin]
+    if any(_is_far(source) for source in sources):
+        world_spaces.insert(0, Space(origin=NO_ORIGIN))
     placed: list[Source] = []
     for source in sources:
         space = source.space
@@ -29,6 +34,11 @@ def align_world_origins(sources: Sequence[Source]) -> list[Source]:
         is_same_origin = np.array_equal(transform, np.eye(4))
         placed.append(source if is_same_origin else PlacedSource(source, transform))
     return placed
+
+
+def _is_far(source: Source) -> bool:
+    """Return whether a file has coordinates so far from 0 that they need an origin."""
+    return any(source.data.origin) or any(any(mesh.data.origin) for mesh in source.meshes)
 
 
 def _space_transform(space: Space, first: Space) -> Float64[np.ndarray, "4 4"]:

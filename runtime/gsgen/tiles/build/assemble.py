@@ -77,6 +77,7 @@ def write_index(
         "sh_degree": max([*(tile.sh_degree for tile in walk(root)), *degrees]),
         "codec": plan.parameters.codec,
         "transform": transform,
+        "origin": plan.parameters.origin,
     }
     subtrees: list[str] = []
     for name, quality in names.items():

@@ -146,13 +146,13 @@ def build_tileset(
         EngineFailed: Workers died again and again.
     """
     _require_output(output)
-    files = open_scenes([path.resolve() for path in scenes])
+    files = open_scenes([path.resolve() for path in scenes], parameters.origin)
     if parameters.turn_upright:
         transform = turned_transform(parameters.transform, files[0].up)
         parameters = replace(parameters, transform=transform, turn_upright=False)
-    if any(files[0].origin):
-        moved = moved_transform(parameters.transform, files[0].origin)
-        parameters = replace(parameters, transform=moved)
+    origin = files[0].origin
+    moved = moved_transform(parameters.transform, origin)
+    parameters = replace(parameters, transform=moved, origin=origin if any(origin) else None)
     output = output.resolve()
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)

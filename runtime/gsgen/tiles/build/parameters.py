@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, final
 
+from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.json_values import JsonDict
 
@@ -32,6 +33,8 @@ class BuildParameters:
         transform: Of the root tile, scene → world: 16 numbers, column by column.
         turn_upright: Whether the scenes' declared upward direction is first turned to that of
             3DGS training, -y, which ``transform`` is for.
+        origin: The point of the scenes that is 0, 0, 0 in the root frame; None for one that
+            float32 needs.
     """
 
     leaf: int = 65_536
@@ -40,6 +43,7 @@ class BuildParameters:
     implicit: bool = False
     transform: tuple[float, ...]
     turn_upright: bool = False
+    origin: Origin | None = None
 
     def as_dict(self) -> JsonDict:
         """Return the build parameters as a JSON object."""

@@ -42,6 +42,7 @@ def load_plan(path: str) -> Plan:
     parameters = content["parameters"]
     parameters["qualities"] = tuple(parameters["qualities"])
     parameters["transform"] = tuple(parameters["transform"])
+    parameters["origin"] = parameters["origin"] and tuple(parameters["origin"])
     content |= {
         "chunks": chunks,
         "cube": Cube(tuple(content["cube"]["low"]), content["cube"]["side"]),
@@ -59,4 +60,4 @@ def _file(item: Mapping[str, Any]) -> SceneFile:
     table = item["table"]
     if table is not None:
         table = PlyTable(**{**table, "columns": tuple(table["columns"])})
-    return SceneFile(**{**item, "table": table})
+    return SceneFile(**{**item, "table": table, "origin": tuple(item["origin"])})

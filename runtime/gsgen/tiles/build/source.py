@@ -13,7 +13,7 @@ __all__ = [
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -27,7 +27,8 @@ from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import naming
 from gsgen.formats.shared.notices import warn_unused
-from gsgen.formats.shared.splats import DEFAULT_UP, NO_ORIGIN, SH_COUNTS
+from gsgen.formats.shared.origins import Origin, middle_origin, origin_text, relative_to
+from gsgen.formats.shared.splats import DEFAULT_UP, MAX_FLOAT32_OFFSET, NO_ORIGIN, SH_COUNTS
 from gsgen.formats.shared.suspicions import SAMPLED_ROWS, warn_of_suspicions
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.loading.leaves import open_splats
@@ -89,8 +90,10 @@ class Chunk:
     source: int
 
 
-def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
+def open_scenes(paths: Sequence[Path], origin: Origin | None = None) -> list[SceneFile]:
     """Open scene files and return their splat counts, SH degrees and layouts.
+
+    All get one origin: the given one, or else the middle of those that their positions need.
 
     Raises:
         InputUnreadable: A file is missing, damaged or holds something else than splats.
@@ -99,7 +102,7 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
     files = [_open_scene_file(path) for path in paths]
     first = files[0]
     for file in files:
-        for name in ("color_space", "antialiased", "up", "origin"):
+        for name in ("color_space", "antialiased", "up"):
             actual, expected = getattr(file, name), getattr(first, name)
             if actual != expected:
                 raise ConfigInvalid(
@@ -107,7 +110,17 @@ def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
                     where=file.path,
                     hint="Build one tileset for each kind of scene.",
                 )
-    return files
+    common_origin = origin or middle_origin([file.origin for file in files])
+    for file in files:
+        distance = float(np.abs(np.subtract(file.origin, common_origin)).max())
+        if distance > MAX_FLOAT32_OFFSET:
+            text = (
+                f"{file.path}: positions are {distance:,.0f} units from the origin "
+                f"{origin_text(common_origin)} of the tileset, where float32 has steps of "
+                f"{np.spacing(np.float32(distance)):.2g}"
+            )
+            warnings.warn(text, FormatWarning, stacklevel=2)
+    return [replace(file, origin=common_origin) for file in files]
 
 
 def _open_scene_file(path: Path) -> SceneFile:
@@ -215,8 +228,10 @@ def read_chunk(chunk: Chunk) -> Splats:
         if chunk.file.table is None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", FormatWarning)  # opening the file has said it
-                return _read_whole_file(Path(chunk.file.path))
-        return read_ply_rows(chunk.file.path, chunk.file.table, chunk.first, chunk.count)
+                splats = _read_whole_file(Path(chunk.file.path))
+        else:
+            splats = read_ply_rows(chunk.file.path, chunk.file.table, chunk.first, chunk.count)
+        return relative_to(splats, chunk.file.origin)
     except FormatError as error:
         raise _unreadable_input_error(error) from error
 

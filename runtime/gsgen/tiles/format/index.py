@@ -28,6 +28,7 @@ from jaxtyping import Float64
 from gsgen.formats.glb.splats import EXTENSION_NAME
 from gsgen.formats.shared.files import replace_file
 from gsgen.formats.shared.morton import interleave_bits
+from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
@@ -126,6 +127,7 @@ def write_tileset(
     codec: CodecName = "spz",
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
+    origin: Origin | None = None,
 ) -> None:
     """Write the ``tileset.json`` of a tree of tiles, atomically.
 
@@ -137,6 +139,7 @@ def write_tileset(
         codec: Of the contents.
         quality: Which of each tile's contents the index names; the last where it has fewer.
         transform: From the root frame to the globe (ECEF) or the world; identity where absent.
+        origin: The point of the scene that is 0, 0, 0 in the root frame; None for 0, 0, 0.
 
     Raises:
         FileUnwritable: The file could not be written or put in place.
@@ -148,6 +151,7 @@ def write_tileset(
         codec=codec,
         quality=quality,
         transform=transform,
+        origin=origin,
     )
     with replace_file(path) as file:
         file.write(json_bytes(document))
@@ -161,6 +165,7 @@ def tileset_document(
     codec: CodecName = "spz",
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
+    origin: Origin | None = None,
 ) -> JsonDict:
     """Return the ``tileset.json`` of a tree of tiles as a JSON object."""
     root_record = _tile(root, quality)
@@ -182,10 +187,11 @@ def tileset_document(
                 "quality": quality,
                 "sh_degree": sh_degree,
                 "source_splats": source_splats,
+                **({} if origin is None else {"origin": list(origin)}),
             },
         },
         "root": {**tree, "refine": root.refine},
-        "schema": metadata_schema(),
+        "schema": metadata_schema(has_origin=origin is not None),
     }
 
 

@@ -12,7 +12,7 @@ TILESET_CLASS: Final = "gsgen_tileset"
 _SCALAR_PROPERTY: Final[JsonDict] = {"type": "SCALAR"}
 
 
-def metadata_schema() -> JsonDict:
+def metadata_schema(*, has_origin: bool = False) -> JsonDict:
     """Return the metadata schema (3D Metadata Specification 1.0) of an explicit tileset."""
     tile: dict[str, JsonDict] = {
         "bytes": {
@@ -60,16 +60,22 @@ def metadata_schema() -> JsonDict:
             "required": True,
         },
     }
+    if has_origin:
+        tileset["origin"] = {
+            "type": "VEC3",
+            "componentType": "FLOAT64",
+            "description": "The point of the scene that is 0, 0, 0 in the frame of the root tile.",
+        }
     return {
         "id": "gsgen_tiles",
         "classes": {TILE_CLASS: {"properties": required}, TILESET_CLASS: {"properties": tileset}},
     }
 
 
-def implicit_metadata_schema() -> JsonDict:
+def implicit_metadata_schema(*, has_origin: bool = False) -> JsonDict:
     """Return the metadata schema of an implicit tileset, whose subtrees have property tables."""
     box = {"array": True, "componentType": "FLOAT64", "count": 12, **_SCALAR_PROPERTY}
-    schema = metadata_schema()
+    schema = metadata_schema(has_origin=has_origin)
     properties = {
         "box": {**box, "required": True, "semantic": "TILE_BOUNDING_BOX"},
         "cell": {**_SCALAR_PROPERTY, "componentType": "FLOAT32", "required": True},

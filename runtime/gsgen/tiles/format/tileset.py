@@ -9,6 +9,8 @@ from typing import Any, Final, Literal, final
 import numpy as np
 from jaxtyping import Float64
 
+from gsgen.formats.shared.origins import Origin
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.tiles.format.neural_tile import NeuralTile
 from gsgen.tiles.format.volumes import Volume
 
@@ -110,6 +112,16 @@ class Tileset:
     def content_axes(self) -> Float64[np.ndarray, "4 4"]:
         """The 4×4 matrix from the frame of a content file to the frame of its tile."""
         return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
+
+    @property
+    def origin(self) -> Origin:
+        """The point of the scene that is 0, 0, 0 in the root frame, as the metadata declares it."""
+        numbers = self.metadata.get("origin", NO_ORIGIN)
+        is_point = isinstance(numbers, list) and len(numbers) == len(NO_ORIGIN)
+        if not is_point or not all(isinstance(number, int | float) for number in numbers):
+            return NO_ORIGIN
+        x, y, z = (float(number) for number in numbers)
+        return x, y, z
 
     @property
     def up(self) -> Float64[np.ndarray, " 3"]:

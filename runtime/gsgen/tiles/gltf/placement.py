@@ -32,7 +32,8 @@ class PlacedSplats:
     def relative_to_origin(self, origin: Float64[np.ndarray, " 3"]) -> Splats:
         """Return the splats relative to another origin, with positions rounded to float32 there."""
         position = (self.positions() - origin).astype(np.float32)
-        return replace(self.splats, position=position)
+        x, y, z = (float(value) for value in origin)
+        return replace(self.splats, position=position, origin=(x, y, z))
 
 
 def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:

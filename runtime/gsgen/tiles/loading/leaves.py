@@ -11,15 +11,15 @@ __all__ = [
 
 import os
 import posixpath
-import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats import open_splats as open_splat_file
 from gsgen.formats.glb.container import Container
-from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.origins import Origin, with_origin
 from gsgen.formats.shared.splats import MAX_FLOAT32_OFFSET, PackedRows, PointCloud, Splats
 from gsgen.formats.tileset_paths import names_tileset
 from gsgen.tiles.errors import Fault, TilesetInvalid
@@ -78,13 +78,14 @@ def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
 
 
 def open_splats(
-    path: str | os.PathLike[str], *, drop_invalid: bool = False
+    path: str | os.PathLike[str], *, drop_invalid: bool = False, origin: Origin | None = None
 ) -> Splats | PointCloud | PackedRows:
     """Read a splat file of any format, or all leaf tiles of a tileset as one set of splats.
 
     Args:
         path: A file, a tileset (tileset.json, its folder, .3tz), or an address.
         drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them.
+        origin: The point that positions become relative to; None for one that float32 needs.
 
     Raises:
         FormatError: The file cannot be read.
@@ -92,24 +93,28 @@ def open_splats(
         StoreUnavailable: The store cannot be read now.
     """
     if names_tileset(path):
-        return read_leaves(path)
-    return open_splat_file(path, drop_invalid=drop_invalid)
+        return read_leaves(path, origin)
+    return open_splat_file(path, drop_invalid=drop_invalid, origin=origin)
 
 
-def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:
+def read_leaves(
+    source: str | os.PathLike[str], origin: Origin | None = None
+) -> Splats | PointCloud | PackedRows:
     """Return the splats of all leaf tiles of a tileset as one set, in the root tile's frame.
 
     The address of one file of splats, such as a PLY, gives the content of this file.
 
     Where the root frame is so large that float32 would lose millimetres, positions are
-    relative to the middle of the splats; a ``FormatWarning`` then reports that origin.
+    relative to the middle of the splats. Origins are those of the scene that the tileset was built
+    from, where its metadata declares one; a ``FormatWarning`` reports them. A given ``origin`` takes
+    their place.
 
     Raises:
         TilesetInvalid: A file is missing or wrong, or there are no splats.
         StoreUnavailable: The store cannot be read now.
     """
     if names_one_file(source):
-        return read_download(source)
+        return with_origin(read_download(source), origin, source)
     store, index = open_store(os.fspath(source))
     with store:
         tileset = load_tileset(store, index, name=str(source))
@@ -125,10 +130,11 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedR
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,
         )
-    middle = np.stack([part.origin for part in parts]).mean(axis=0)
-    origin: Float64[np.ndarray, " 3"] = np.zeros(3)
-    if np.abs(middle).max() > MAX_FLOAT32_OFFSET:
-        origin = np.round(middle)
-        text = f"positions are relative to {origin.tolist()} of the root tile's frame"
-        warnings.warn(text, FormatWarning, stacklevel=2)
-    return join_placed(parts, origin)
+    middle: Float64[np.ndarray, " 3"] = np.round(
+        np.stack([part.origin for part in parts]).mean(axis=0)
+    )
+    if np.abs(middle).max() <= MAX_FLOAT32_OFFSET:
+        middle = np.zeros(3)
+    splats = join_placed(parts, middle)
+    x, y, z = (float(value) for value in middle + tileset.origin)
+    return with_origin(replace(splats, origin=(x, y, z)), origin, source)

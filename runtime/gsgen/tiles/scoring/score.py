@@ -13,7 +13,7 @@ __all__ = [
 ]
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -24,6 +24,8 @@ from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import relative_to
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -124,6 +126,7 @@ def score_tileset(
     store, index = open_store(source)
     with store:
         tileset = load_tileset(store, index, name=str(source))
+        splats = replace(relative_to(splats, tileset.origin), origin=NO_ORIGIN)  # in the root frame
         cameras = _cameras(splats, tileset.up, width, height)
         progress("drawing the scene")
         expected = _draw(renderer, splats, cameras)

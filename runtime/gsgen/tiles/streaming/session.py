@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float64, Int64
 
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats.glb.container import Container
+from gsgen.formats.shared.origins import Origin
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
 from gsgen.tiles.loading.quality_ladder import TileQualities, load_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
@@ -143,6 +145,7 @@ def open_session(
             report_generators=report_generators,
             store=store,
             up=tileset.up,
+            origin=tileset.origin,
             read_model=reader.read_model,
             qualities=qualities,
             make_predictor=make_predictor,
@@ -192,12 +195,14 @@ class TilesetSession:
         report_generators: Callable[[str], None] | None = None,
         store: Store | None = None,
         up: Float64[np.ndarray, " 3"] | None = None,
+        origin: Origin = NO_ORIGIN,
         read_model: ModelReader | None = None,
         qualities: TileQualities | None = None,
         make_predictor: Callable[[], Predictor] | None = None,
     ) -> None:
         self._tile_qualities = qualities
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
+        self.origin = origin
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
         self.pool_slots = -(-options.max_splats // options.slot_rows)

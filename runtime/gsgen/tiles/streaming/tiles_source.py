@@ -15,10 +15,14 @@ from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.contract.spec.units import format_mebibytes
+from gsgen.formats.shared.origins import Origin
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSplatSet, SplatPool
+from gsgen.runtime.scene.transforms import identity, moved
+from gsgen.runtime.sources.placed_source import local_camera
 from gsgen.runtime.sources.source import Source, SourceShortfall, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
@@ -52,6 +56,8 @@ class TilesSource(Source):
         wait: Most seconds that a frame waits for all tiles of its cut, and for the generators of
             its neural tiles; 0 not to wait.
         neural: The generators of neural tiles, which the session closes; None for none.
+        origin: The point of the scene that is 0, 0, 0 in the root frame. Cameras, and the extent
+            of the source, are in the coordinates of the scene.
     """
 
     def __init__(
@@ -63,6 +69,7 @@ class TilesSource(Source):
         extent: tuple[Float[np.ndarray, "3"], float],
         wait: float,
         neural: NeuralTiles | None = None,
+        origin: Origin = NO_ORIGIN,
     ) -> None:
         self.name, self.up = name, up
         self._neural_tiles = neural
@@ -71,13 +78,15 @@ class TilesSource(Source):
                 Input(name=_TIME_INPUT, role=_TIME_INPUT, shape=(1,), range=span, default=span[0]),
             )
         self._values: dict[str, object] = {}
-        self._session, self._waits_for_tiles, self._extent = session, wait, extent
+        self._session, self._waits_for_tiles = session, wait
+        self._extent = extent[0] + origin, extent[1]
+        self._scene_transform = moved(identity(), origin)
         channels = 3 * coefficients(session.sh_degree)
         rows = session.pool_slots * session.slot_rows
         self._pool = SplatPool(rows, channels, slot_rows=session.slot_rows)
-        self.pools = (PooledSplatSet(self._pool),)
+        self.pools = (PooledSplatSet(self._pool, self._scene_transform),)
         empty = np.zeros((0, layout.ROW_LENGTH), np.float32), np.zeros((0, channels), np.float32)
-        self.data = SplatData(*empty, "sh")
+        self.data = SplatData(*empty, "sh", origin=origin)
         self._camera: Camera | None = None
         self._last_session_frame: SessionFrame | None = None
         self._drawing_change_count = 0
@@ -86,7 +95,7 @@ class TilesSource(Source):
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Record the frame's camera, which selects the tiles, and the models' input values."""
-        self._camera = camera
+        self._camera = None if camera is None else local_camera(camera, self._scene_transform)
         self._values |= values
 
     def finish(self) -> None:
@@ -308,4 +317,5 @@ def open_stream(
         extent=(tree.center[0], reach),
         wait=settings.wait,
         neural=session.neural,
+        origin=session.origin,
     )

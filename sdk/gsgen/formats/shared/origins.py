@@ -8,12 +8,12 @@ __all__ = [
     "in_file_coordinates",
     "is_printed_float32",
     "join_origins",
+    "middle_origin",
     "near_zero",
     "origin_text",
-    "placed",
     "relative_positions",
     "relative_to",
-    "warn_of_origin",
+    "with_origin",
 ]
 
 import os
@@ -58,7 +58,7 @@ def relative_positions(
     with np.errstate(over="ignore", invalid="ignore"):
         position32 = position.astype(np.float32)
         error = np.abs(position - position32)
-    is_finite = np.isfinite(error).all(axis=1)
+    is_finite = np.asarray(np.isfinite(error).all(axis=1))
     if not is_finite.any():
         return position32, NO_ORIGIN, 0.0
     loss = float(error.max(where=is_finite[:, None], initial=0))
@@ -102,7 +102,7 @@ def relative_to(content: Placed, origin: Origin) -> Placed:
     return replace(content, position=position, origin=origin, rounding=content.rounding + rounding)
 
 
-def placed(content: Content, origin: Origin | None, path: str | os.PathLike[str]) -> Content:
+def with_origin(content: Content, origin: Origin | None, path: str | os.PathLike[str]) -> Content:
     """Return the content of a file with positions relative to an origin.
 
     None keeps the origin that its reader chose, and names it (FormatWarning).
@@ -112,7 +112,7 @@ def placed(content: Content, origin: Origin | None, path: str | os.PathLike[str]
     """
     if origin is None:
         if not isinstance(content, PackedRows) and any(content.origin):
-            warn_of_origin(path, content.origin)
+            _warn_of_origin(path, content.origin)
         return content
     if isinstance(content, PackedRows):
         raise NotSupported(
@@ -135,18 +135,20 @@ def near_zero(splats: Splats) -> Splats:
 
 def join_origins(parts: Sequence[Splats]) -> list[Splats]:
     """Return sets of splats with one common origin: the middle of theirs, if they differ."""
-    origins = {part.origin for part in parts}
-    if len(origins) == 1:
+    if len({part.origin for part in parts}) == 1:
         return list(parts)
-    corners = [
-        corner + np.asarray(part.origin)
-        for part in parts
-        if len(part)
-        for corner in (part.position.min(axis=0), part.position.max(axis=0))
-    ]
-    middle = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2
+    origin = middle_origin([part.origin for part in parts])
+    return [relative_to(part, origin) for part in parts]
+
+
+def middle_origin(origins: Sequence[Origin]) -> Origin:
+    """Return one origin for several files: the middle of those that are not 0."""
+    far_origins = sorted({origin for origin in origins if any(origin)})
+    if len(far_origins) < 2:
+        return far_origins[0] if far_origins else NO_ORIGIN
+    middle = (np.min(far_origins, axis=0) + np.max(far_origins, axis=0)) / 2
     x, y, z = (float(value) for value in np.round(middle / _ORIGIN_STEP) * _ORIGIN_STEP + 0.0)
-    return [relative_to(part, (x, y, z)) for part in parts]
+    return x, y, z
 
 
 def origin_text(origin: Origin) -> str:
@@ -154,7 +156,7 @@ def origin_text(origin: Origin) -> str:
     return f"({', '.join(f'{value:.15g}' for value in origin)})"
 
 
-def warn_of_origin(path: str | os.PathLike[str], origin: Origin, *, stacklevel: int = 3) -> None:
+def _warn_of_origin(path: str | os.PathLike[str], origin: Origin, *, stacklevel: int = 3) -> None:
     """Warn that positions are relative to an origin (FormatWarning)."""
     text = (
         f"{os.fspath(path)}: positions are relative to {origin_text(origin)}, "

@@ -176,7 +176,7 @@ def page_uniforms(
     if not pages:
         return uniforms
     sets, uniforms["base"], uniforms["capacity"], uniforms["count"] = zip(*pages, strict=True)
-    transforms = np.stack([splat_set.transform for splat_set in sets])
+    transforms = np.stack([splat_set.rows_to_world for splat_set in sets])
     linear, offset = transforms[:, :3, :3], transforms[:, :3, 3]
     camera_from_model = camera.view[:3, :3] @ linear
     uniforms["linear"][:, :, :3] = camera_from_model.transpose(0, 2, 1)  # WGSL matrices are columns
@@ -195,7 +195,7 @@ def page_uniforms(
     eye_in_camera = -(camera_from_model @ eye_remainder[:, :, None])[:, :, 0]
     uniforms["eye_at"] = eye_in_camera
     uniforms["eye_at_rest"] = eye_in_camera - uniforms["eye_at"].astype(np.float64)
-    clip_boxes = [splat_set.clip for splat_set in sets]
+    clip_boxes = [splat_set.rows_clip for splat_set in sets]
     uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clip_boxes]
     uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clip_boxes]
     uniforms["opacity_scale"] = [splat_set.opacity_scale for splat_set in sets]

@@ -55,7 +55,8 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
     """Return the uniform data of a mesh (WGSL struct ``Place``), computed in float64."""
     uniform = np.zeros((), MESH_UNIFORM)
     mesh, data = placed.mesh, placed.mesh.data
-    linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
+    matrix = mesh.vertices_to_world
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
     eye = np.linalg.solve(linear, camera.eye - offset)
     to_camera = camera.view[:3, :3] @ linear
     uniform["linear"][:, :3] = to_camera.T  # WGSL matrices are columns

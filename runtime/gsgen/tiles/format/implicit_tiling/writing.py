@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.shared.files import make_folder, replace_file
+from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.subtree import tile_count
 from gsgen.tiles.format.index import (
@@ -51,6 +52,7 @@ def write_implicit_tileset(
     codec: CodecName = "spz",
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
+    origin: Origin | None = None,
     subtree_levels: int = SUBTREE_LEVELS,
 ) -> list[str]:
     """Write ``tileset.json`` and the subtree files of an implicit octree.
@@ -66,6 +68,7 @@ def write_implicit_tileset(
         codec: Of the contents.
         quality: Which of each tile's contents the index names.
         transform: From the root frame to the globe or the world.
+        origin: The point of the scene that is 0, 0, 0 in the root frame; None for 0, 0, 0.
         subtree_levels: Levels of one subtree.
 
     Raises:
@@ -90,9 +93,10 @@ def write_implicit_tileset(
         codec=codec,
         quality=quality,
         transform=transform,
+        origin=origin,
     )
     levels = 1 + max(cell.record.level for cell in tiles)
-    document["schema"] = implicit_metadata_schema()
+    document["schema"] = implicit_metadata_schema(has_origin=origin is not None)
     tree = _implicit_root(root, low, high, quality, levels, subtree_levels)
     document["root"].setdefault("children", []).insert(0, tree)
     subtrees = dict(_subtrees(tiles, subtree_levels, quality))
