@@ -19,9 +19,8 @@ from gsgen.formats.ply.chunks import PlyTable
 from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
-from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.origins import Origin, near_zero, origin_text
+from gsgen.formats.shared.origins import Origin, join_splats, near_zero, origin_text
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import DEFAULT_UP, PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import is_streamed_meta

@@ -21,8 +21,8 @@ from gsgen.formats.shared.bytes import (
 )
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
-from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.notices import warn_unused
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit_or_zero
 from gsgen.formats.shared.splat_values import drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats

@@ -20,7 +20,7 @@ import numpy as np
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats import read_ply, write_sog
-from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera

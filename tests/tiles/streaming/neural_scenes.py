@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import join_splats
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION

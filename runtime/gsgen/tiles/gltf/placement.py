@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.glb.nodes import transform_splats
-from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splats import Splats
 
 

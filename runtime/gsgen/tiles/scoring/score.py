@@ -23,8 +23,7 @@ from jaxtyping import Float32, Float64, UInt8
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.formats.packed import splats_of_rows
-from gsgen.formats.shared.joined import join_splats
-from gsgen.formats.shared.origins import relative_to
+from gsgen.formats.shared.origins import join_splats, relative_to
 from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats.glb.container import build
-from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.writing import implicit_uri, write_implicit_tileset

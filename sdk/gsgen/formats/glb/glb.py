@@ -40,8 +40,8 @@ from gsgen.formats.shared.errors import (
     quoted,
 )
 from gsgen.formats.shared.files import FilePath, naming, open_file, replace_file
-from gsgen.formats.shared.joined import join_splats
 from gsgen.formats.shared.notices import MeshWarning, warn_unused
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.quantities import sigmoid, unit
 from gsgen.formats.shared.splat_values import drawable, linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats

@@ -7,7 +7,7 @@ __all__ = [
     "Origin",
     "in_file_coordinates",
     "is_printed_float32",
-    "join_origins",
+    "join_splats",
     "middle_origin",
     "near_zero",
     "origin_text",
@@ -133,7 +133,37 @@ def near_zero(splats: Splats) -> Splats:
     return relative_to(splats, NO_ORIGIN)
 
 
-def join_origins(parts: Sequence[Splats]) -> list[Splats]:
+def join_splats(parts: Sequence[Splats]) -> Splats:
+    """Concatenate sets of splats; SH coefficients that a set lacks are zero.
+
+    Different origins become one in the middle.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    parts = _with_common_origin(parts)
+    count = max(part.sh.shape[1] for part in parts)
+
+    def join(name: str) -> Float32[np.ndarray, "..."]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    def padded(sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n l 3"]:
+        return np.pad(sh, [(0, 0), (0, count - sh.shape[1]), (0, 0)])
+
+    return Splats(
+        position=join("position"),
+        rotation=join("rotation"),
+        log_scale=join("log_scale"),
+        logit_opacity=join("logit_opacity"),
+        sh=np.concatenate([padded(part.sh) for part in parts]),
+        antialiased=any(part.antialiased for part in parts),
+        color_space=parts[0].color_space,
+        up=parts[0].up,
+        origin=parts[0].origin,
+        rounding=max(part.rounding for part in parts),
+    )
+
+
+def _with_common_origin(parts: Sequence[Splats]) -> list[Splats]:
     """Return sets of splats with one common origin: the middle of theirs, if they differ."""
     if len({part.origin for part in parts}) == 1:
         return list(parts)

@@ -18,7 +18,7 @@ from jaxtyping import UInt64
 
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.formats.shared.files import FilePath, make_folder, replace_file
-from gsgen.formats.shared.joined import join_splats
+from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.meta import META_FILE
