@@ -19,7 +19,7 @@ def translated(splats: Splats, offset: Vector) -> Splats:
     """Return ``splats`` moved by ``offset``, in scene units."""
     x, y, z = (float(start + step) for start, step in zip(splats.origin, offset, strict=True))
     moved = near_zero(replace(splats, origin=(x, y, z)))
-    # Sums of float32 are no loss of the file, unless its positions needed an origin.
+    # Rounding of the sum counts only where the positions of the file needed an origin.
     return moved if any(splats.origin) else replace(moved, rounding=splats.rounding)
 
 
