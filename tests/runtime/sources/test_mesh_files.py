@@ -18,7 +18,7 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from gsgen.formats import Splats, write_glb, write_ply
+from gsgen.formats import FormatWarning, Splats, write_glb, write_ply
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh, read_mesh
 
@@ -129,6 +129,51 @@ def test_obj_of_two_materials_is_read_as_two_meshes(tmp_path: Path) -> None:
         tuple(mesh.data.colors[0].round(1).astype(str)): len(mesh.data) for mesh in meshes
     }
     assert counts_by_color == {("0.8", "0.1", "0.1"): 4, ("0.1", "0.1", "0.8"): 2}
+
+
+@pytest.mark.parametrize("corner", ["{0}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}"])
+def test_negative_indices_of_an_obj_count_back_from_their_face(tmp_path: Path, corner: str) -> None:
+    """Two triangles, each after its own vertices, in a file of absolute and one of relative indices."""
+    blocks = [
+        "".join(f"v {x + shift} {y} 0\nvt {x} {y}\nvn 0 0 1\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+        for shift in (0, 5)
+    ]
+
+    def face(*indices: int) -> str:
+        return f"f {' '.join(corner.format(index) for index in indices)}\n"
+
+    absolute, relative = tmp_path / "absolute.obj", tmp_path / "relative.obj"
+    absolute.write_text(blocks[0] + face(1, 2, 3) + blocks[1] + face(4, 5, 6))
+    relative.write_text(blocks[0] + face(-3, -2, -1) + blocks[1] + face(-3, -2, -1))
+    (expected,), (actual,) = read_mesh(absolute), read_mesh(relative)
+    np.testing.assert_array_equal(
+        actual.data.vertices[actual.data.faces], expected.data.vertices[expected.data.faces]
+    )
+    assert expected.data.vertices[expected.data.faces][1, :, 0].tolist() == [5, 6, 5]
+
+
+@pytest.mark.parametrize("key", ["accessors", "bufferViews"])
+def test_gltf_with_a_long_first_member_is_a_mesh(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "a.gltf"
+    path.write_text(json.dumps({key: [{"name": "x" * 300_000}], "asset": {"version": "2.0"}}))
+    assert is_mesh(path)
+
+
+def test_vertex_colours_beside_a_texture_by_face_are_named(tmp_path: Path) -> None:
+    Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "red.png")
+    vertices = "".join(f"{x} {y} 0 0 255 0\n" for x, y in ((0, 0), (1, 0), (0, 1), (1, 1)))
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile red.png\nelement vertex 4\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+        "element face 2\nproperty list uchar int vertex_indices\n"
+        f"property list uchar float texcoord\nend_header\n{vertices}"
+        "3 0 1 2 6 0 0 1 0 0 1\n3 2 1 3 6 1 1 0 1 1 0\n"
+    )
+    with pytest.warns(FormatWarning, match="not used: vertex colours"):
+        (mesh,) = read_mesh(tmp_path / "a.ply")
+    assert mesh.data.texture is not None
+    assert (mesh.data.texture[..., :3] == (255, 0, 0)).all()
 
 
 def test_names_in_any_encoding_are_read(tmp_path: Path) -> None:

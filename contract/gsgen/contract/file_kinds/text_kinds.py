@@ -44,6 +44,7 @@ _JSON_OBJECT_KINDS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
     ({"camera_type", "keyframes"}, "cameras", "a camera path of nerfstudio", CAMERAS),
 )  # fmt: skip
 _GLTF_KEYS = {"meshes", "scenes", "nodes", "accessors", "buffers", "bufferViews"}
+_GLTF_ONLY_KEYS = {"accessors", "bufferViews"}
 
 
 def decoded_text(head: bytes) -> str | None:
@@ -137,7 +138,9 @@ def json_kind(text: str) -> FileKind:
     for needed, name, title, hint in _JSON_OBJECT_KINDS:
         if needed <= keys.keys():
             return FileKind(name=name, title=title, hint=hint)
-    if _GLTF_KEYS & keys.keys() and ("asset" in keys or len(_GLTF_KEYS & keys.keys()) > 1):
+    gltf_keys = _GLTF_KEYS & keys.keys()
+    # The first array may be longer than what is seen.
+    if len(gltf_keys) > 1 or gltf_keys & _GLTF_ONLY_KEYS or (gltf_keys and "asset" in keys):
         if SPLAT_EXTENSION in text:
             return FileKind(name="gltf-splats", title="a glTF file of splats", hint=SPLATS)
         return FileKind(name="gltf", title="a glTF file without splats", hint=MESH_RENDER_HINT)

@@ -3,6 +3,7 @@
 __all__ = ["is_mesh", "read_mesh"]
 
 import json
+import re
 import struct
 import warnings
 from collections.abc import Hashable, Iterator
@@ -20,6 +21,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
 from gsgen.formats.glb.splats import READABLE_EXTENSIONS
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
@@ -44,6 +46,8 @@ _STL_HEADER: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50
 _GLB_HEADER: Final = struct.Struct("<4sIII4s")
 _WHITE_RGB: Final = np.ones(3)
+# A face of an OBJ file with an index that counts back.
+_NEGATIVE_INDEX: Final = re.compile(rb"^[ \t]*f[ \t][^\n]*-", re.MULTILINE)
 
 _GltfObject: TypeAlias = dict[str, Any]
 
@@ -169,6 +173,8 @@ def _load_mesh_scene(
     if kind == "obj" or (kind == "stl" and not _is_binary_stl(content)):
         # Names in other encodings must not raise errors.
         content = content.decode("utf-8", "replace").encode()
+    if kind == "obj":
+        content = _with_absolute_indices(content)
     with warnings.catch_warnings():
         # Other warnings of the libraries are no verdict on the file.
         warnings.simplefilter("ignore")
@@ -177,6 +183,34 @@ def _load_mesh_scene(
             BytesIO(content), file_type=kind, resolver=_resource_resolver(library, path), **options
         )
     return scene
+
+
+def _with_absolute_indices(content: bytes) -> bytes:
+    """Replace the negative indices of an OBJ file, which count back from the line of the face.
+
+    trimesh reads them as counted from the end of the file, or not at all.
+    """
+    if not _NEGATIVE_INDEX.search(content):
+        return content
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
+    lines = content.splitlines()
+    for number, line in enumerate(lines):
+        words = line.split()
+        if words and words[0] in counts:
+            counts[words[0]] += 1
+        elif words and words[0] == b"f" and b"-" in line:
+            corners = (_absolute_corner(word, list(counts.values())) for word in words[1:])
+            lines[number] = b" ".join([b"f", *corners])
+    return b"\n".join(lines)
+
+
+def _absolute_corner(corner: bytes, counts: list[int]) -> bytes:
+    """Return a corner of a face, position/texture/normal, with indices from 1."""
+    parts = corner.split(b"/")
+    for number, (part, count) in enumerate(zip(parts, counts, strict=False)):
+        if part.startswith(b"-"):
+            parts[number] = b"%d" % (count + 1 + int(part))
+    return b"/".join(parts)
 
 
 def _resource_resolver(library: ModuleType, path: Path) -> Any:
@@ -205,6 +239,8 @@ def _meshes(
         if not hasattr(geometry, "faces") or not len(geometry.faces):
             continue  # points and lines
         if name not in mesh_by_geometry:
+            if not _has_color_by_vertex(geometry) and "color" in geometry.vertex_attributes:
+                warn_unused(path, ["vertex colours, beside texture coordinates by face"])
             mesh_by_geometry[name] = _mesh_data(
                 geometry, is_gltf=is_gltf, has_no_materials=has_no_materials
             )
@@ -283,13 +319,19 @@ def _mesh_data(
     return data, is_colored
 
 
+def _has_color_by_vertex(geometry: "trimesh.Trimesh") -> bool:
+    """Return whether a mesh has colours for its vertices, not for those before trimesh split them."""
+    colors = geometry.vertex_attributes.get("color", ())
+    return len(colors) == len(geometry.vertices)
+
+
 def _surface_material(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _SurfaceMaterial:
     visual: Any = geometry.visual  # attributes depend on the kind
     attributes = geometry.vertex_attributes
     colors = None
     if getattr(visual, "kind", None) == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
-    elif "color" in attributes:
+    elif _has_color_by_vertex(geometry):
         vertex_colors = np.asarray(attributes["color"])[:, :3]
         colors = vertex_colors / (255.0 if vertex_colors.dtype.kind in "iu" else 1.0)
     material = getattr(visual, "material", None)
