@@ -321,7 +321,7 @@ def _mesh_data(
 
 def _has_color_by_vertex(geometry: "trimesh.Trimesh") -> bool:
     """Return whether a mesh has colours for its vertices, not for those before trimesh split them."""
-    colors = geometry.vertex_attributes.get("color", ())
+    colors = np.asarray(geometry.vertex_attributes.get("color", ()))
     return len(colors) == len(geometry.vertices)
 
 
