@@ -62,7 +62,10 @@ def launched(path: str, flags: Sequence[str], **options: Any) -> Iterator[Any]:
 
 
 class Handler(SimpleHTTPRequestHandler):
-    """Serves folders by the first part of the path, and bytes by their whole path."""
+    """Serves folders by the first part of the path, and bytes by their whole path.
+
+    A path may have headers of its own, such as a content policy.
+    """
 
     def __init__(
         self,
@@ -70,8 +73,10 @@ class Handler(SimpleHTTPRequestHandler):
         folders: Mapping[str, Path],
         contents: Mapping[str, bytes],
         requests: list[str],
+        headers: Mapping[str, Mapping[str, str]],
     ) -> None:
         self._folders, self._contents, self._requests = folders, contents, requests
+        self._headers = headers
         super().__init__(*words)  # type: ignore[arg-type]
 
     def translate_path(self, path: str) -> str:
@@ -91,17 +96,31 @@ class Handler(SimpleHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
+    def end_headers(self) -> None:
+        path = unquote(urlsplit(self.path).path)
+        for name, value in self._headers.get(path, {}).items():
+            self.send_header(name, value)
+        self.send_header("Access-Control-Allow-Origin", "*")
+        super().end_headers()
+
     def log_message(self, *words: object) -> None:
         pass
 
 
 @contextmanager
 def serving(
-    folders: Mapping[str, Path], contents: Mapping[str, bytes], requests: list[str] | None = None
+    folders: Mapping[str, Path],
+    contents: Mapping[str, bytes],
+    requests: list[str] | None = None,
+    headers: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Iterator[str]:
     """Serve folders and bytes on a free port, and yield the address."""
     handler = partial(
-        Handler, folders=folders, contents=contents, requests=[] if requests is None else requests
+        Handler,
+        folders=folders,
+        contents=contents,
+        requests=[] if requests is None else requests,
+        headers={} if headers is None else headers,
     )
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.05,))

@@ -137,9 +137,9 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
 
 
 @pytest.mark.slow
-def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
+def test_five_hundred_frames_leave_nothing_behind(article: Any) -> None:
     """Of a moving camera and a moving person, only encoders, passes and commands are made."""
-    result = steady_frames(article, 200, are_executed=False)
+    result = steady_frames(article, 500, are_executed=False)
     assert result.made == {}
     assert result.heap_growth < 1 << 20
 

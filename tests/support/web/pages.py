@@ -27,6 +27,7 @@ class WebSite:
         address: Address of the server.
         contents: Bytes that are served, by path; tests may add some.
         requests: The paths that were requested.
+        headers: Headers of answers, by path; tests may add some.
         errors: What the page or its console reported as errors.
     """
 
@@ -34,6 +35,7 @@ class WebSite:
     address: str
     contents: dict[str, bytes]
     requests: list[str]
+    headers: dict[str, dict[str, str]] = field(default_factory=dict)
     errors: list[str] = field(default_factory=list)
 
     def open(self, path: str = "/test/harness.html") -> None:
@@ -60,12 +62,13 @@ def site(browser: Any, **folders: Path) -> Iterator[WebSite]:
     """Serve the client, and open a page of it."""
     contents: dict[str, bytes] = {}
     requests: list[str] = []
+    headers: dict[str, dict[str, str]] = {}
     served = {"client": CLIENT, "test": Path(__file__).parent, **folders}
-    with serving(served, contents, requests) as address:
+    with serving(served, contents, requests, headers) as address:
         context = browser.new_context(viewport={"width": 640, "height": 480})
         page = context.new_page()
         page.set_default_timeout(1000 * _SECONDS)
-        result = WebSite(page, address, contents, requests)
+        result = WebSite(page, address, contents, requests, headers)
         page.on("pageerror", lambda error: result.errors.append(f"page: {error}"))
         page.on("console", lambda message: _keep(result.errors, message))
         try:

@@ -97,7 +97,8 @@ for (const [name, { reflects }] of Object.entries(ATTRIBUTES)) {
       if (reflects === "presence") return written !== null;
       if (reflects === "written") return written ?? "";
       if (reflects === "parsed") return this._valueOf(name);
-      return written ? new URL(written, document.baseURI).href : "";
+      if (!written || !URL.canParse(written, document.baseURI)) return written ?? "";
+      return new URL(written, document.baseURI).href;
     },
     set(value) {
       if (reflects === "presence") this.toggleAttribute(name, Boolean(value));

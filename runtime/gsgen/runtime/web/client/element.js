@@ -11,7 +11,7 @@ import { OrbitCamera, orbitProblem } from "./orbit_camera.js";
 import { sharedKernels } from "./shared.js";
 import { ShownModel } from "./shown_model.js";
 import { candidatesOf, canShow, sourceFile } from "./source_files.js";
-import { nearestWord } from "./words.js";
+import { nearestWord, written } from "./words.js";
 
 /** @typedef {"empty" | "loading" | "ready" | "failed"} State */
 
@@ -249,7 +249,7 @@ export class GsgenModel extends AttributedElement {
 
   _isNumber(where, value) {
     const isNumber = Number.isFinite(value);
-    if (!isNumber) this._complain(where, `is ${JSON.stringify(value) ?? value}, expected a finite number`);
+    if (!isNumber) this._complain(where, `is ${written(value)}, expected a finite number`);
     return isNumber;
   }
 
@@ -290,7 +290,7 @@ export class GsgenModel extends AttributedElement {
 
   set inputs(values) {
     const isObject = typeof values === "object" && values !== null && !Array.isArray(values);
-    if (!isObject) this._complain("inputs", `is ${JSON.stringify(values) ?? typeof values}, expected values by name`);
+    if (!isObject) this._complain("inputs", `is ${written(values)}, expected values by name`);
     const changed = (isDone) => {
       this._checkInputs();
       this.requestFrame();
@@ -358,7 +358,7 @@ export class GsgenModel extends AttributedElement {
   /** Turn the camera towards a point of the world. @param {number[]} point */
   lookAt(point) {
     const problem = orbitProblem({ target: point });
-    if (problem) return this._complain("lookAt()", `got ${JSON.stringify(point)}, expected a point [x, y, z]`);
+    if (problem) return this._complain("lookAt()", `got ${written(point)}, expected a point [x, y, z]`);
     this._shown?.orbit.focus(point);
     this._moved();
   }

@@ -8,37 +8,71 @@ import { inlined } from "./download.js";
 import { GsgenError } from "./errors.js";
 import { inTurns, once } from "./once.js";
 
-// Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs.
 const HAS_JSPI = "Suspending" in WebAssembly;
-const [BUNDLE, WASM] = HAS_JSPI
-  ? ["ort.jspi.bundle.min.mjs", "ort-wasm-simd-threaded.jspi.wasm"]
-  : ["ort.webgpu.bundle.min.mjs", "ort-wasm-simd-threaded.asyncify.wasm"];
 const INLINED = { bundle: "#gsgen-ort", wasm: "#gsgen-ort-wasm" };
+const EMPTY_MODULE = Uint8Array.of(0, 0x61, 0x73, 0x6d, 1, 0, 0, 0);
 
-/** Set the folder of ONNX Runtime Web. @type {{folder: string | null}} */
-export const ortSettings = { folder: null };
+/**
+ * Where ONNX Runtime Web comes from, if not from the folder `ort` beside this module.
+ * @type {{folder: string | null, load: (() => Promise<any>) | null}} The address of a folder, or a
+ *     function that imports the module: `() => import("onnxruntime-web/webgpu")`.
+ */
+export const ortSettings = { folder: null, load: null };
+
+/** Return the addresses of the module and of its WebAssembly. */
+function addresses() {
+  if (document.querySelector(INLINED.bundle)) {
+    const blob = new Blob([inlined(INLINED.bundle)], { type: "text/javascript" });
+    return [URL.createObjectURL(blob), null];
+  }
+  // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs. Bundlers follow
+  // these addresses, as each is written out.
+  const own = HAS_JSPI
+    ? [
+        new URL("./ort/ort.jspi.bundle.min.mjs", import.meta.url),
+        new URL("./ort/ort-wasm-simd-threaded.jspi.wasm", import.meta.url),
+      ]
+    : [
+        new URL("./ort/ort.webgpu.bundle.min.mjs", import.meta.url),
+        new URL("./ort/ort-wasm-simd-threaded.asyncify.wasm", import.meta.url),
+      ];
+  if (!ortSettings.folder) return own.map(String);
+  const folder = new URL(ortSettings.folder.replace(/\/?$/, "/"), document.baseURI);
+  const names = own.map(({ pathname }) => pathname.slice(pathname.lastIndexOf("/") + 1));
+  return names.map((name) => String(new URL(name, folder)));
+}
+
+/** Throw if the page's policy forbids WebAssembly, for which no model is to blame. */
+function requireWebAssembly() {
+  try {
+    new WebAssembly.Module(EMPTY_MODULE);
+  } catch (error) {
+    throw new GsgenError(`this page may not run WebAssembly: ${error.message}`, {
+      hint: "Add 'wasm-unsafe-eval' to script-src of its Content-Security-Policy.",
+    });
+  }
+}
 
 async function load() {
-  const isInlined = Boolean(document.querySelector(INLINED.bundle));
-  const base = document.baseURI.startsWith("http") ? document.baseURI : undefined;
-  const given = ortSettings.folder && new URL(ortSettings.folder, base);
-  const folder = isInlined ? "" : String(given || new URL("ort/", import.meta.url));
-  const address = isInlined
-    ? URL.createObjectURL(new Blob([inlined(INLINED.bundle)], { type: "text/javascript" }))
-    : new URL(BUNDLE, folder);
-  let ort;
+  requireWebAssembly();
+  if (ortSettings.load) return configured(await ortSettings.load(), null);
+  const [address, wasm] = addresses();
   try {
-    ort = await import(String(address));
+    return configured(await import(/* @vite-ignore */ /* webpackIgnore: true */ String(address)), wasm);
   } catch (error) {
     throw new GsgenError(`ONNX Runtime Web cannot be loaded: ${error.message}`, {
       where: String(address),
       hint: "Copy it beside gsgen.js, into a folder ort: gsgen view --web writes one.",
     });
   }
+}
+
+/** Return the module with its settings. @param {string | null} wasm Address of its WebAssembly. */
+function configured(ort, wasm) {
   ort.env.wasm.numThreads = 1; // more would need headers that isolate the page
   ort.env.logLevel = "error";
-  if (isInlined) ort.env.wasm.wasmBinary = inlined(INLINED.wasm);
-  else ort.env.wasm.wasmPaths = { wasm: String(new URL(WASM, folder)) };
+  if (document.querySelector(INLINED.wasm)) ort.env.wasm.wasmBinary = inlined(INLINED.wasm);
+  else if (wasm) ort.env.wasm.wasmPaths = { wasm };
   return ort;
 }
 

@@ -2,6 +2,7 @@
 
 import { DEFAULT_NEAR, eyeOf, turnTowards, viewOf } from "./camera.js";
 import { cross, dot, linearPart, normalized, plus, product, rotation, times, transposed } from "./matrices.js";
+import { written } from "./words.js";
 
 const RADIANS = Math.PI / 180;
 const POLE = RADIANS; // least angle between the view and straight up or down
@@ -220,5 +221,5 @@ export function orbitProblem(orbit) {
   const given = Object.keys(orbit ?? {}).filter((name) => name in PARTS && orbit[name] !== undefined);
   if (!given.length) return { where: "orbit", message: `has none of ${Object.keys(PARTS).join(", ")}` };
   const wrong = given.find((name) => !PARTS[name](orbit[name]));
-  return wrong ? { where: `orbit.${wrong}`, message: `is ${JSON.stringify(orbit[wrong])}, which no camera has` } : null;
+  return wrong ? { where: `orbit.${wrong}`, message: `is ${written(orbit[wrong])}, which no camera has` } : null;
 }

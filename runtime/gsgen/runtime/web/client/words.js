@@ -1,4 +1,4 @@
-/** Finds the word that a misspelt one stands for. */
+/** Words of messages: values as they are written, and the word that a misspelt one stands for. */
 
 const MOST_EDITS = 2;
 const LETTERS_PER_EDIT = 3; // of a word; short words are misspelt by fewer letters
@@ -26,4 +26,9 @@ function editsBetween(first, second) {
     row = next;
   }
   return row[second.length];
+}
+
+/** Return a value as code writes it. @param {any} value */
+export function written(value) {
+  return typeof value === "number" ? String(value) : (JSON.stringify(value) ?? String(value));
 }
