@@ -1,6 +1,5 @@
 """Attributes and properties of `<gsgen-model>`: parsed as HTML and CSS do, and what is wrong is told."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -13,8 +12,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def page(site: WebSite, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page with the element's class, and a small model."""
+def page(site: WebSite, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Return a page with the element's class, and a small model."""
     path = tmp_path_factory.mktemp("knot") / "knot.spz"
     write_spz(path, torus_knot(300, degree=0))
     site.contents["/knot.spz"] = path.read_bytes()
@@ -24,7 +23,7 @@ def page(site: WebSite, tmp_path_factory: pytest.TempPathFactory) -> Iterator[An
       <script type=module src=/client/gsgen.js></script>"""
     site.open("/attributes.html")
     site.page.wait_for_function("Boolean(customElements.get('gsgen-model'))")
-    yield site.page
+    return site.page
 
 
 _PARSED = [

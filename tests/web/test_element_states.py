@@ -1,7 +1,6 @@
 """The states of `<gsgen-model>`: how it loads, fails and recovers, and what it keeps meanwhile."""
 
 import gzip
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -260,7 +259,7 @@ def test_an_error_of_a_frame_is_taken_back_by_the_next(page: Any) -> None:
         _FRAME_ERRORS,
     )
     events = ["statechange failed", "error no", "statechange ready", "recover"]
-    assert results == dict.fromkeys(_FRAME_ERRORS, [True, True, "no", events])
+    assert results == {name: [True, True, "no", events] for name in _FRAME_ERRORS}
 
 
 @pytest.mark.parametrize("is_announced", [True, False])
