@@ -1,10 +1,11 @@
 """Measure how commands meet hostile answers of servers: hangs, tracebacks, strangers, lines, memory.
 
 Each answer of the table in tests/support/web/hostile_server.py is given to a command that asks for
-a tileset, a tile, an archive and a splat file; a file may take two seconds. Prints each miss, and
-each figure with its bar; exits 1 if one is missed.
+a tileset, a tile, an archive, a splat file, a model, cameras, an address without a suffix, and a
+file of the Hub; a file may take two seconds. Prints each miss, and each figure with its bar; exits
+1 if one is missed.
 
-    .venv/bin/python tests/bench/bench_hostile_answers.py [index|tile|archive|file]…
+    .venv/bin/python tests/bench/bench_hostile_answers.py [DOOR]…
 """
 
 import os
@@ -34,6 +35,10 @@ DOORS = {
     "tile": ("tileset.json", ["convert", "ADDRESS", "OUTPUT"]),
     "archive": ("a.3tz", ["tiles", "info", "ADDRESS"]),
     "file": ("a.ply", ["convert", "ADDRESS", "OUTPUT"]),
+    "model": ("a.onnx", ["inspect", "ADDRESS"]),
+    "cameras": ("transforms.json", ["render", "MISSING", "--camera", "ADDRESS", "-o", "OUTPUT"]),
+    "suffixless": ("download", ["convert", "ADDRESS", "OUTPUT"]),
+    "hub": ("a.ply", ["convert", "hf://owner/name/a.ply", "OUTPUT"]),
 }
 
 
@@ -89,11 +94,21 @@ def _run(folder: Path, case: tuple[str, str]) -> Outcome:
     name, words = DOORS[door]
     files = {"/a/tileset.json": INDEX} if door == "tile" else {}
     with hostile_server(ANSWERS[answer], files) as server:
-        replaced = {"ADDRESS": server.address_of(name), "OUTPUT": str(folder / f"{answer}.ply")}
+        replaced = {
+            "ADDRESS": server.address_of(name),
+            "OUTPUT": str(folder / f"{answer}.ply"),
+            "MISSING": str(folder / "missing.ply"),
+        }
         command = [sys.executable, "-m", "gsgen.cli", *(replaced.get(word, word) for word in words)]
         with tempfile.TemporaryFile("w+") as output:
             start = time.monotonic()
-            environment = {**os.environ, "GSGEN_FETCH_SECONDS": FETCH_SECONDS}
+            environment = {
+                **os.environ,
+                "GSGEN_FETCH_SECONDS": FETCH_SECONDS,
+                # The hub may lead to other ports of its host: strangers are 127.0.0.1.
+                "HF_ENDPOINT": f"http://localhost:{server.port}",
+                "HF_TOKEN": "hf_secret",
+            }
             process = subprocess.Popen(command, stdout=output, stderr=output, env=environment)
             while (ended := os.wait4(process.pid, os.WNOHANG))[0] == 0:
                 if time.monotonic() - start > KILLED_AFTER:

@@ -22,10 +22,18 @@ PROOFS = {
     "Archives are read entry by entry": [
         "contract/process/test_array_files.py::test_a_damaged_file_is_refused_in_one_line_and_little_memory",
         "formats/test_hostile.py::test_a_gzip_bomb_is_unpacked_no_further_than_its_header_says",
+        "contract/inputs/test_local_copies.py::test_no_member_of_an_archive_leaves_the_folder",
+        "contract/inputs/test_local_copies.py::test_an_archive_that_unpacks_to_too_much_is_refused",
     ],
     "Files of web servers come": [
         "contract/fetching/test_hostile_answers.py::test_hostile_answer_is_one_error_in_time",
         "contract/fetching/test_hostile_answers.py::test_headers_go_to_the_origin_of_the_address_alone",
+        "contract/inputs/test_hub_file.py::test_the_token_goes_to_the_hub_and_not_to_its_storage",
+        "contract/inputs/test_hub_file.py::test_the_hub_leads_into_no_private_network",
+        "contract/inputs/test_hub_file.py::test_the_hub_leads_to_no_other_plain_server",
+        "contract/inputs/test_local_copies.py::test_weights_that_lead_elsewhere_are_not_fetched",
+        "contract/inputs/test_local_copies.py::test_weights_named_like_an_address_stay_on_the_server",
+        "contract/inputs/test_local_copies.py::test_an_unknown_scheme_is_refused",
     ],
     "The servers listen on": [
         "tiles/serving/test_server.py::test_path_that_leaves_the_folder_is_not_found",

@@ -30,7 +30,9 @@ from gsgen.contract.errors import (
 
 PrintJsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing; list the changes.")]
-ModelFile = Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)]
+ModelFile = Annotated[
+    Path, typer.Argument(help="The ONNX file, or its address.", show_default=False)
+]
 Sizes = Annotated[
     list[str] | None,
     typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),

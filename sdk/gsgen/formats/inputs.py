@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, final
 
+from gsgen.contract.file_kinds.kind import UNPACK
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, kind_of
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
 from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
@@ -274,8 +275,9 @@ def _content_from_zip(path: FilePath, file: BinaryIO, max_bytes: int) -> FileCon
             raise _several_files_error("ZIP archive", [entry.filename for entry in readable])
         if not readable:
             kind = archive_kind(archive.namelist())
+            hint = UNPACK if kind.name == "zip" else kind.hint
             raise NotSupported(
-                f"this is {kind.title}", expected="a file of splats in it", hint=kind.hint
+                f"this is {kind.title}", expected="a file of splats in it", hint=hint
             )
         (entry,) = readable
         limit = min(max_bytes, size * MAX_INFLATION)

@@ -160,3 +160,28 @@ def test_external_data_counts_in_the_size(tmp_path: Path, good: Path) -> None:
     assert subject["bytes"] == path.stat().st_size
     assert subject["external_bytes"] == (tmp_path / "outside.bin").stat().st_size
     assert "external data" in gsgen_here("validate", path, "--level", "static").out
+
+
+@pytest.mark.parametrize(
+    ("file", "title", "command"),
+    [
+        ("point_cloud/iteration_7000/point_cloud.ply", "a 3DGS training", "gsgen render"),
+        ("nerfstudio_models/step-000029999.ckpt", "a nerfstudio training", "gsgen render"),
+        ("ckpts/ckpt_29999_rank0.pt", "a gsplat training", "gsgen render"),
+        ("a.ply", "a folder of splat files", "gsgen convert"),
+        ("meta.json", "the folder of a SOG", "gsgen render"),
+        ("sparse/0/cameras.bin", "a data set of COLMAP", "--camera"),
+        ("transforms_train.json", "a data set of pictures with cameras", "--camera"),
+    ],
+)
+def test_a_folder_of_another_program_is_named(
+    file: str, title: str, command: str, tmp_path: Path
+) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"x")
+    for words in (["validate", tmp_path], ["inspect", tmp_path]):
+        completed = gsgen_here(*words)
+        assert completed.code in (2, 4)
+        assert title in completed.err
+        assert command in completed.err

@@ -28,6 +28,11 @@ RECOGNITION_BYTES: Final = 1 << 16
 """The bytes at the beginning of a file that decide."""
 
 _ZIP_FILE_MAGIC, _GZIP_MAGIC = b"PK\x03\x04", b"\x1f\x8b"
+_CHECKPOINT_HINT: Final = (
+    "`gsgen render` and `gsgen export static` take those of gsplat, nerfstudio and 3DGS, and "
+    "`gsgen export` those of the methods that `gsgen plugins` lists."
+)
+_SPLAT_SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _MAX_NESTING: Final = 2
 _MAX_LISTED_MEMBERS: Final = 4
 
@@ -117,13 +122,13 @@ def _zip_kind(head: bytes, file: BinaryIO | None) -> FileKind:
 
 def archive_kind(names: Sequence[str]) -> FileKind:
     """Return the kind of a ZIP archive from the names of its members."""
-    files = [name for name in names if not name.endswith("/")]
+    files = [name for name in names if not (name.endswith("/") or _is_hidden(name))]
     base_names = {PurePath(name).name.lower() for name in files}
     suffixes = {PurePath(name).suffix.lower() for name in files}
     if "data.pkl" in base_names:
         is_script = "constants.pkl" in base_names
         title = "a network in TorchScript" if is_script else "a checkpoint of torch"
-        hint = "`gsgen export` takes checkpoints of the methods that `gsgen plugins` lists."
+        hint = _CHECKPOINT_HINT
         return FileKind(name="torchscript" if is_script else "torch", title=title, hint=hint)
     if files and suffixes == {".npy"}:
         return FileKind(name="npz", title="an NPZ archive of NumPy arrays", hint=SPLATS)
@@ -145,4 +150,9 @@ def archive_kind(names: Sequence[str]) -> FileKind:
     )
     count = f"{len(files)} files: " if len(files) > _MAX_LISTED_MEMBERS else ""
     title = f"a ZIP archive of {count}{listed_names}" if files else "a ZIP archive without files"
-    return FileKind(name="zip", title=title, hint=UNPACK)
+    has_one_splat_file = sum(name.lower().endswith(_SPLAT_SUFFIXES) for name in files) == 1
+    return FileKind(name="zip", title=title, hint=SPLATS if has_one_splat_file else UNPACK)
+
+
+def _is_hidden(name: str) -> bool:
+    return any(part.startswith(".") or part == "__MACOSX" for part in name.split("/"))

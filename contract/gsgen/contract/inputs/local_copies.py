@@ -128,8 +128,8 @@ def _save_neighbours(
         neighbour = remote.beside(name)
         if neighbour is None:
             raise InputUnreadable(
-                f"is {kind.title} that names the file {name!r:.200} beside it, for which a signed "
-                "address is no address",
+                f"is {kind.title} that names the file {name!r:.200} beside it, for which the signed "
+                "address does not count",
                 where=remote.address,
                 hint="Download both files into one folder, and name the file there.",
             )

@@ -102,7 +102,7 @@ class StoredFile(RemoteFile):
 
 
 def _fsspec(address: str) -> Any:
-    """Import fsspec, and raise for an address that is none of its own."""
+    """Import fsspec, and raise for an address of an unknown kind."""
     try:
         import fsspec
     except ImportError as error:

@@ -198,14 +198,24 @@ def _size(path: Path) -> int:
             f"cannot be read: {error.strerror}", where=where, hint=hint
         ) from error
     if stat.S_ISDIR(entry.st_mode):
-        models = sorted(path.glob("*.onnx"))
-        hint = f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""
-        raise ModelUnreadable("is a folder, expected an ONNX file", where=where, hint=hint)
+        raise _folder_error(path)
     if not stat.S_ISREG(entry.st_mode):
         raise ModelUnreadable("is not a regular file, expected an ONNX file", where=where)
     if entry.st_size == 0:
         raise ModelUnreadable("is empty (0 bytes), expected an ONNX model", where=where)
     return entry.st_size
+
+
+def _folder_error(path: Path) -> ModelUnreadable:
+    from gsgen.contract.file_kinds.folder_kinds import kind_of_folder
+
+    models = sorted(path.glob("*.onnx"))
+    kind = None if models else kind_of_folder(path)
+    title = "a folder" if kind is None else kind.title
+    hint = "" if kind is None else kind.hint
+    if models:
+        hint = f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx."
+    return ModelUnreadable(f"is {title}, expected an ONNX file", where=str(path), hint=hint)
 
 
 def _strip_weights(path: Path, view: mmap.mmap) -> StrippedModel:

@@ -96,11 +96,21 @@ def _expand_path(name: Path, is_entry_folder: Callable[[Path], bool]) -> Iterato
     elif name.is_dir() and not is_entry_folder(name):
         models = sorted(path for path in name.rglob(f"*{MODEL_SUFFIX}") if _is_visible(path, name))
         if not models:
-            hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."
-            raise ConfigInvalid("the folder holds no ONNX model", where=str(name), hint=hint)
+            raise _no_model_error(name)
         yield from models
     else:
         yield name
+
+
+def _no_model_error(folder: Path) -> ConfigInvalid:
+    from gsgen.contract.file_kinds.folder_kinds import kind_of_folder
+
+    kind = kind_of_folder(folder)
+    actual = "the folder holds no ONNX model"
+    hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."
+    if kind is not None:
+        actual, hint = f"this is {kind.title}, which holds no ONNX model", kind.hint
+    return ConfigInvalid(actual, where=str(folder), hint=hint)
 
 
 def _is_visible(path: Path, folder: Path) -> bool:

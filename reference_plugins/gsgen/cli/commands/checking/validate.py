@@ -34,7 +34,7 @@ Paths = Annotated[
     typer.Argument(
         metavar="PATH…",
         help="ONNX files, folders of them, globs; tilesets (.json, .3tz) and their contents "
-        "(.glb, .gltf).",
+        "(.glb, .gltf); addresses of them.",
         show_default=False,
     ),
 ]

@@ -44,7 +44,7 @@ Sources = Annotated[
     typer.Argument(
         metavar="SOURCE…",
         help=f"{format_titles()}; recognised by its content. Several are merged. An address "
-        "(http, https) is downloaded.",
+        "(https, hf, s3, …) is downloaded.",
         show_default=False,
     ),
 ]

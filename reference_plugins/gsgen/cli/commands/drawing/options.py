@@ -189,7 +189,8 @@ RenderCamera = Annotated[
 Scenes = Annotated[
     list[Path],
     typer.Argument(
-        help="Splat files, meshes, ONNX generators, tilesets (files or addresses) and scene.json; "
+        help="Splat files, meshes, ONNX generators, tilesets and scene.json, or their addresses "
+        "(https, hf, s3, …); "
         "several form one scene. A folder of numbered splat files, or a pattern such as "
         "frames/%04d.ply, is a sequence in time.",
         show_default=False,
