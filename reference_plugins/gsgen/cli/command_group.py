@@ -66,7 +66,7 @@ class _CommandGroup(TyperGroup):
         return None if command is None else click_command(command)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the first argument names; raise if there is none."""
+        """Return the command that the first argument names; raise for an unknown name."""
         if not args[0].startswith("-") and find_command(args[0]) is None:
             raise _unknown_command(args[0], self.list_commands(ctx))
         return super().resolve_command(ctx, args)
@@ -117,7 +117,7 @@ def usable_command(
     cls: type[TyperCommand] = TyperCommand,
     help: str | None = None,
 ) -> Any:
-    """Return the click command of a function or typer app, or one that says why there is none.
+    """Return the click command of a function or typer app, or one that says why it cannot run.
 
     Args:
         extension: Its name and entry point.
