@@ -12,7 +12,7 @@ from typer.main import get_command
 from gsgen.cli.command_group import build
 from gsgen.cli.fetched_inputs import OUTPUT_PARAMETERS
 from gsgen.formats import open_splats, write_ply
-from support.commands import gsgen_here
+from support.commands import gsgen, gsgen_here
 from support.models.small_models import good_rows, save_moving
 from support.splat_files import scene, zipped
 from support.web.file_server import FileServer, Served, file_server
@@ -91,6 +91,15 @@ def test_a_command_takes_addresses(command: str, server: FileServer, tmp_path: P
         word.removeprefix(server.origin).partition("#")[0] for word in asked
     }
     assert len(server.paths) == len(set(server.paths))
+
+
+def test_copies_are_removed_when_the_command_ends(server: FileServer, tmp_path: Path) -> None:
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    for name in ("a.onnx", "page.ply", "missing.onnx"):
+        completed = gsgen("inspect", server.address_of(f"/d/{name}"), env={"TMPDIR": str(folder)})
+        assert completed.code == (0 if name == "a.onnx" else 4)
+    assert list(folder.iterdir()) == []
 
 
 def opening_commands() -> Iterator[tuple[str, Any]]:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from gsgen.cli.commands.tiles.progress_bar import BarProgress
+from gsgen.cli.fetched_inputs import _show_progress as show_download
 from gsgen.cli.progress import clear, progress
 
 
@@ -89,3 +90,12 @@ def test_texts_pass_the_transliteration_while_a_build_shows_its_bar(
     assert "note: [tile] 7 is empty" in terminal.plain()
     assert "50 of 100 splats" in terminal.plain()
     assert terminal.getvalue().count("\x1b[?25l") == terminal.getvalue().count("\x1b[?25h")
+
+
+def test_a_download_is_shown_in_megabytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_terminal(monkeypatch) as terminal:
+        show_download("https://a.example/b/c.ply?key=secret", 3 << 20, (9 << 20) - 5)
+        show_download("hf://owner/name/model.onnx", 5 << 20, None)
+    assert "fetching c.ply: 3 of 9 MB" in terminal.plain()
+    assert "fetching model.onnx: 5 MB" in terminal.plain()
+    assert "secret" not in terminal.plain()

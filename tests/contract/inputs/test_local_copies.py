@@ -54,6 +54,15 @@ def test_a_model_comes_with_its_external_weights(server: FileServer, tmp_path: P
     assert [finding for finding in report.findings if finding.severity is Severity.ERROR] == []
 
 
+def test_a_session_takes_an_address(server: FileServer, tmp_path: Path) -> None:
+    pytest.importorskip("gsgen.sdk.binding")
+    from gsgen.sdk.binding import FrameSession
+
+    server.files.update(model_with_weights(tmp_path))
+    with FrameSession(server.address_of("/m/a.onnx"), provider="cpu") as session:
+        assert session.run({"time": 0.5}).gaussians().shape == (60, 10)
+
+
 def test_a_model_whose_weights_are_missing_names_their_address(
     server: FileServer, tmp_path: Path
 ) -> None:
@@ -66,7 +75,7 @@ def test_a_model_whose_weights_are_missing_names_their_address(
 
 def test_weights_beside_a_signed_address_are_refused(server: FileServer, tmp_path: Path) -> None:
     server.files.update(model_with_weights(tmp_path))
-    with pytest.raises(InputUnreadable, match="signed address") as error:
+    with pytest.raises(InputUnreadable, match="does not follow from one with a query") as error:
         local_file(server.address_of("/m/a.onnx?signature=1"))
     assert "'data/weights.bin'" in error.value.message
     assert server.paths == ["/m/a.onnx?signature=1"]
@@ -135,6 +144,13 @@ def test_a_file_of_many_folders_says_that_it_is_not_fetched(
     with pytest.raises(InputUnreadable, match=title) as error:
         local_file(server.address_of(f"/{name}"))
     assert error.value.hint == "Download its folder, and name the file there."
+
+
+def test_a_tileset_of_a_store_says_where_it_is_streamed_from(tmp_path: Path) -> None:
+    pytest.importorskip("fsspec")
+    (tmp_path / "tileset.json").write_text('{"asset": {"version": "1.1"}, "root": {}}')
+    with pytest.raises(InputUnreadable, match="streamed from https and http alone"):
+        local_file(f"file://{tmp_path}/tileset.json")
 
 
 def test_a_model_without_a_suffix_gets_it(server: FileServer, tmp_path: Path) -> None:

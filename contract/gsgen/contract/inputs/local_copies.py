@@ -128,8 +128,8 @@ def _save_neighbours(
         neighbour = remote.beside(name)
         if neighbour is None:
             raise InputUnreadable(
-                f"is {kind.title} that names the file {name!r:.200} beside it, for which the signed "
-                "address does not count",
+                f"is {kind.title} that names the file {name!r:.200} beside it, whose address does "
+                "not follow from one with a query",
                 where=remote.address,
                 hint="Download both files into one folder, and name the file there.",
             )

@@ -17,6 +17,7 @@ _FOLDER_KINDS: Final = {
     "streamed-sog": "the files of a streamed SOG",
     "scene": "the files of a scene",
 }
+_STREAMED_ADDRESSES: Final = ("https://", "http://")
 _MAX_JSON_BYTES: Final = 64 << 20
 
 
@@ -51,7 +52,16 @@ def _listed(value: Any) -> list[Any]:
 
 
 def require_whole(address: str, kind: FileKind) -> None:
-    """Raise for a file whose parts are in folders that no address lists."""
+    """Raise for a file whose parts are in folders that no address lists.
+
+    A tileset of a web server is no such file to commands that stream it; others say what it is.
+    """
+    if kind.name == "tileset" and not address.startswith(_STREAMED_ADDRESSES):
+        raise InputUnreadable(
+            f"this is {kind.title}, which is streamed from https and http alone",
+            where=address,
+            hint="Name its https address, or download its folder.",
+        )
     parts = _FOLDER_KINDS.get(kind.name)
     if parts is not None:
         raise InputUnreadable(

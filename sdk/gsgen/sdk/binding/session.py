@@ -9,13 +9,13 @@ import warnings
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.model.fetched_inputs import local_file
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.sdk.binding.bound.bound_session import BoundSession, translate_error
 from gsgen.sdk.binding.bound.input_binding import InputBinding
@@ -81,7 +81,7 @@ class FrameSession:
         """Open a model, bind its buffers, and run it once, so that the first frame is fast.
 
         Args:
-            model: The ONNX file. Confine it if it is not your own.
+            model: The ONNX file, or its address. Confine it if it is not your own.
             provider: ``cpu``, ``webgpu``, ``cuda``, or ``auto`` for the fastest available.
             capture: Record the GPU's commands once and replay them, if the model allows it.
             sizes: Symbol → size of an open dimension; ``NAME[AXIS]`` if it has no symbol.
@@ -94,13 +94,14 @@ class FrameSession:
         Raises:
             HostProcessFailed: The machine has no memory or no process for a confined model.
             ModelUnreadable: The file is not an ONNX model.
+            InputUnreadable: The file at an address cannot be had.
             ManifestInvalid: The embedded manifest cannot be read.
             ProviderUnavailable: The requested provider is not available.
             SizeUnknown: A dimension has no size.
             UnknownName: No provider or open dimension has this name.
             RunFailed: ONNX Runtime cannot load or run the model.
         """
-        self.path = Path(model)
+        self.path = local_file(model)
         self._number = -1
         self._sources = sources = read_model_facts(self.path, manifest)
         settings: dict[str, Any] = {
