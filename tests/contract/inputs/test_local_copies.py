@@ -60,7 +60,7 @@ def test_a_session_takes_an_address(server: FileServer, tmp_path: Path) -> None:
 
     server.files.update(model_with_weights(tmp_path))
     with FrameSession(server.address_of("/m/a.onnx"), provider="cpu") as session:
-        assert session.run({"time": 0.5}).gaussians().shape == (60, 10)
+        assert session.run({"time": 0.5}).gaussians().position.shape == (60, 3)
 
 
 def test_a_model_whose_weights_are_missing_names_their_address(
