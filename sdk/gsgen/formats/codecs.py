@@ -143,7 +143,7 @@ CODECS: Final = (
         write=write_glb,
         magic_prefixes=(glb_container.MAGIC,),
         matches_content=lambda head, _: is_gltf_of_splats(head),
-        keeps_flags=frozenset({"color_space"}),
+        keeps_flags=frozenset({"color_space", "origin"}),
         loss="the last digits of scales, opacities and rotations",
         source="KhronosGroup/glTF",
     ),

@@ -49,11 +49,19 @@ def build(
             help="Antialiasing of the training.", show_default="that of the file, or classic"
         ),
     ] = None,
+    origin: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|X,Y,Z",
+            help="Point of the file that is 0,0,0 in the model, which the manifest declares; auto: "
+            "0,0,0, or a point that map coordinates need.",
+        ),
+    ] = "auto",
 ) -> "StaticScene":
     """Read a splat file or a point cloud for its export as an ONNX generator without inputs."""
     from gsgen.reference_plugins.static.static import StaticScene
 
-    content = _read(file)
+    content = _read(file, origin)
     note(f"{file}: {_describe_content(content)}")
     return StaticScene(
         content=content,
@@ -65,10 +73,11 @@ def build(
     )
 
 
-def _read(file: Path) -> "Splats | PointCloud | PackedRows":
+def _read(file: Path, origin: str) -> "Splats | PointCloud | PackedRows":
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.tiles.loading.leaves import open_splats
 
-    return open_splats(file, drop_invalid=True)
+    return open_splats(file, drop_invalid=True, origin=parse_origin(origin))
 
 
 def _describe_content(content: "Splats | PointCloud | PackedRows") -> str:

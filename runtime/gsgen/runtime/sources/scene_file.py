@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.formats.shared.origins import Origin
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.colors import color_of
@@ -143,6 +144,7 @@ def open_scene(
     sizes: Mapping[Path, Mapping[str, int]] | None = None,
     stream: StreamOpener | None = None,
     confined: "ConfinedModels | None" = None,
+    origin: Origin | None = None,
 ) -> list[Source]:
     """Open the files of a scene file: first each model, then each mesh.
 
@@ -154,6 +156,8 @@ def open_scene(
         sizes: Path of a generator → symbol → size of an open dimension.
         stream: Opens tilesets, such as ``gsgen.tiles.open_stream``.
         confined: Runs generators in a child process with limits; None runs them in this process.
+        origin: The point of splat files that float32 positions are relative to; see
+            ``open_source``.
 
     Raises:
         SceneUnreadable: A file cannot be read.
@@ -164,7 +168,13 @@ def open_scene(
         sources: list[Source] = []
         for model in scene_file.models:
             open_file = partial(
-                open_source, model.path, provider, (sizes or {}).get(model.path), stream, confined
+                open_source,
+                model.path,
+                provider,
+                (sizes or {}).get(model.path),
+                stream,
+                confined,
+                origin,
             )
             sources.append(_open_model(model, open_file))
             exit_stack.callback(sources[-1].close)

@@ -13,7 +13,7 @@ import base64
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +25,7 @@ from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
+from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 
@@ -124,7 +125,7 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
         return raw
     with temporary_folder() as folder:
         target = folder / "splats.ply"
-        write_ply(target, content)
+        write_ply(target, replace(content, origin=NO_ORIGIN))  # pages draw float32
         return target.read_bytes()
 
 

@@ -1,6 +1,6 @@
 """A tileset in memory: a tree of tiles, independent of files."""
 
-__all__ = ["Z_UP_FROM_Y_UP", "Content", "RefineMode", "Tile", "Tileset"]
+__all__ = ["GLOBE_DISTANCES", "Z_UP_FROM_Y_UP", "Content", "RefineMode", "Tile", "Tileset"]
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,8 +21,8 @@ Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
 )
 """Content (glTF) to tile coordinates."""
 
-# A root frame farther than this from the origin of the world stands on the globe, in metres.
-_MIN_GLOBE_DISTANCE = 1e6
+GLOBE_DISTANCES: Final = (6.25e6, 6.48e6)
+"""Metres from the centre of the globe (ECEF) between which a scene stands on it."""
 
 
 @final
@@ -124,11 +124,17 @@ class Tileset:
         return x, y, z
 
     @property
+    def place_on_globe(self) -> Float64[np.ndarray, " 3"] | None:
+        """Where 0, 0, 0 of the scene is on the globe, in its frame (ECEF); None off the globe."""
+        low, high = GLOBE_DISTANCES
+        place = self.transform[:3, 3] - self.transform[:3, :3] @ self.origin
+        return np.asarray(place) if low < np.linalg.norm(place) < high else None
+
+    @property
     def up(self) -> Float64[np.ndarray, " 3"]:
         """The up direction of a tileset's root frame: world z, or away from the globe's centre."""
-        linear, origin = self.transform[:3, :3], self.transform[:3, 3]
-        is_on_globe = np.linalg.norm(origin) > _MIN_GLOBE_DISTANCE
-        up = linear.T @ (origin if is_on_globe else np.array([0.0, 0.0, 1.0]))
+        place = self.place_on_globe
+        up = self.transform[:3, :3].T @ (np.array([0.0, 0.0, 1.0]) if place is None else place)
         return np.asarray(up / np.linalg.norm(up))
 
     def tiles(self) -> Iterator[Tile]:

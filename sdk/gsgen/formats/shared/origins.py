@@ -11,11 +11,13 @@ __all__ = [
     "middle_origin",
     "near_zero",
     "origin_text",
+    "parse_origin",
     "relative_positions",
     "relative_to",
     "with_origin",
 ]
 
+import math
 import os
 import warnings
 from collections.abc import Sequence
@@ -25,6 +27,7 @@ from typing import Final, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import (
@@ -184,6 +187,24 @@ def middle_origin(origins: Sequence[Origin]) -> Origin:
 def origin_text(origin: Origin) -> str:
     """Return an origin for a message: ``(449000, 5411000, 0)``."""
     return f"({', '.join(f'{value:.15g}' for value in origin)})"
+
+
+def parse_origin(text: str) -> Origin | None:
+    """Parse the value of ``--origin``: X,Y,Z, or ``auto``, for which None is returned.
+
+    Raises:
+        ConfigInvalid: The text is neither.
+    """
+    if text == "auto":
+        return None
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError as error:
+        message = f"{text!r} is not a point, expected auto or X,Y,Z, such as 449000,5411000,0"
+        raise ConfigInvalid(message, where="--origin") from error
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ConfigInvalid(f"{text!r} is not finite, expected auto or X,Y,Z", where="--origin")
+    return x, y, z
 
 
 def _warn_of_origin(path: str | os.PathLike[str], origin: Origin, *, stacklevel: int = 3) -> None:

@@ -25,7 +25,7 @@ from gsgen.cli.commands.drawing.convert_edits import (
     WithinBoxOption,
     edits_in_order,
 )
-from gsgen.cli.commands.drawing.options import PrintJsonOption
+from gsgen.cli.commands.drawing.options import Origin, PrintJsonOption
 from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
@@ -38,6 +38,7 @@ from gsgen.formats.tileset_paths import names_tileset
 if TYPE_CHECKING:
     from gsgen.formats import FormatError
     from gsgen.formats.conversion import Conversion
+    from gsgen.formats.shared.origins import Origin as Point
 
 Sources = Annotated[
     list[str],
@@ -92,6 +93,7 @@ def convert(
     format: Format = None,
     sh_degree: DegreeOption = None,
     drop_invalid: DropInvalid = False,
+    origin: Origin = "auto",
     translate: TranslateOption = None,
     rotate: RotateOption = None,
     scale: Scale = None,
@@ -115,8 +117,10 @@ def convert(
     it cannot be written, 4 if SOURCE cannot be read.
     """
     from gsgen.formats.conversion import convert as convert_file
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.baking.targets import writable_codec
 
+    point = parse_origin(origin)
     codec = writable_codec(target, format, where=str(target))
     if not force:
         hint = "Name another file, or replace it with --force."
@@ -145,8 +149,9 @@ def convert(
         sh_degree=sh_degree,
         edits=edits,
         drop_invalid=drop_invalid,
-        read=_tileset_reader(sources, drop_invalid=drop_invalid)
-        or _reader(spz_axes, drop_invalid=drop_invalid),
+        origin=point,
+        read=_tileset_reader(sources, drop_invalid=drop_invalid, origin=point)
+        or _reader(spz_axes, drop_invalid=drop_invalid, origin=point),
         read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
         write=_writer(codec, spz_version, spz_axes, encoding),
     )
@@ -237,27 +242,30 @@ def _writer(
 
 
 def _tileset_reader(
-    sources: list[str], *, drop_invalid: bool
+    sources: list[str], *, drop_invalid: bool, origin: "Point | None"
 ) -> Callable[[FilePath], Content] | None:
     """Return a reader of splat files and tilesets; None if no source is a tileset."""
     if not any(names_tileset(source) for source in sources):
         return None
     from gsgen.cli.commands.drawing.opening import read_splats
 
-    return partial(read_splats, drop_invalid=drop_invalid)
+    return partial(read_splats, drop_invalid=drop_invalid, origin=origin)
 
 
-def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content] | None:
+def _reader(
+    spz_axes: str | None, *, drop_invalid: bool, origin: "Point | None" = None
+) -> Callable[[FilePath], Content] | None:
     """Return a splat-file reader that assumes the given SPZ axes; None if no axes are given."""
     if spz_axes is None:
         return None
     from gsgen.formats.open import open_splats
+    from gsgen.formats.shared.origins import with_origin
     from gsgen.formats.spz.spz import read_spz
 
     def read(path: FilePath) -> Content:
         if str(path).lower().endswith(codec_named("spz").suffixes):
-            return read_spz(path, axes=spz_axes)
-        return open_splats(path, drop_invalid=drop_invalid)
+            return with_origin(read_spz(path, axes=spz_axes), origin, path)
+        return open_splats(path, drop_invalid=drop_invalid, origin=origin)
 
     return read
 

@@ -25,6 +25,7 @@ from gsgen.formats.tileset_paths import names_tileset
 
 if TYPE_CHECKING:
     from gsgen.contract.process.limits import Limits
+    from gsgen.formats.shared.origins import Origin
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
@@ -58,6 +59,7 @@ def open_scenes(
     size: Sequence[str] | None = None,
     streaming: "StreamSettings | None" = None,
     limits: "Limits | None" = None,
+    origin: "Origin | None" = None,
 ) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
     """Open scenes and post-process models, print their warnings as notes, and close them.
 
@@ -68,6 +70,8 @@ def open_scenes(
         streaming: How tilesets are streamed.
         size: Values of ``--size``; each model gets the sizes of its own open dimensions.
         limits: Limits of the process that runs models; None runs them in this process.
+        origin: The point of splat files that positions are relative to; None for one that float32
+            needs.
 
     Raises:
         typer.Exit: A file cannot be read; the reason is printed.
@@ -97,10 +101,12 @@ def open_scenes(
                 for path in scenes:
                     progress(f"reading {path}")
                     opened_sources = (
-                        open_scene(files[path], provider, sizes_by_path, stream, confined)
+                        open_scene(files[path], provider, sizes_by_path, stream, confined, origin)
                         if path in files
                         else [
-                            open_source(path, provider, sizes_by_path.get(path), stream, confined)
+                            open_source(
+                                path, provider, sizes_by_path.get(path), stream, confined, origin
+                            )
                         ]
                     )
                     sources += opened_sources
@@ -178,13 +184,15 @@ def tileset_opener(
     return open_tileset
 
 
-def read_splats(path: Path, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
+def read_splats(
+    path: Path, *, drop_invalid: bool = False, origin: "Origin | None" = None
+) -> Splats | PointCloud | PackedRows:
     """Read a splat file, or all leaves of a tileset, for which gsgen.tiles is imported."""
     if names_tileset(path):
         from gsgen.tiles.loading.leaves import open_splats as open_tileset
 
-        return open_tileset(path, drop_invalid=drop_invalid)
-    return open_splats(path, drop_invalid=drop_invalid)
+        return open_tileset(path, drop_invalid=drop_invalid, origin=origin)
+    return open_splats(path, drop_invalid=drop_invalid, origin=origin)
 
 
 @contextmanager

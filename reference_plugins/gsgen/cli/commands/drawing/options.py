@@ -11,6 +11,7 @@ __all__ = [
     "ModeOption",
     "ModelMemory",
     "ModelTimeout",
+    "Origin",
     "OrtFolder",
     "Orthographic",
     "Panorama",
@@ -140,6 +141,14 @@ Panorama = Annotated[
     typer.Option(
         "--panorama",
         help="Draw all directions, equirectangular: from the middle, or from the camera.",
+    ),
+]
+Origin = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|X,Y,Z",
+        help="Point of the files that float32 positions are relative to; auto: 0,0,0, or a point "
+        "that map coordinates need. Cameras, edits and boxes keep the coordinates of the files.",
     ),
 ]
 OrtFolder = Annotated[

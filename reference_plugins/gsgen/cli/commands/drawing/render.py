@@ -89,6 +89,7 @@ def render(
     mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
+    origin: options.Origin = "auto",
     pose: options.Poses = None,
     inputs: options.Inputs = None,
     image: options.Images = None,
@@ -122,6 +123,7 @@ def render(
     """
     from gsgen.cli.commands.drawing.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files, training_camera
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.media.output_formats import require_output_format
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.picture_inputs import require_pictures
@@ -154,6 +156,7 @@ def render(
         post,
         provider=provider,
         size=symbols,
+        origin=parse_origin(origin),
         streaming=replace(streaming, wait=wait),
         limits=options.model_limits(timeout, memory, trust=trust),
     ) as (sources, models):

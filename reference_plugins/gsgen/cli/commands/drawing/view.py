@@ -80,6 +80,7 @@ def view(
     mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
+    origin: options.Origin = "auto",
     pose: options.Poses = None,
     inputs: options.Inputs = None,
     image: options.Images = None,
@@ -111,6 +112,7 @@ def view(
     Exits 0 once the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
     from gsgen.cli.commands.drawing.opening import open_scenes, training_camera
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.picture_inputs import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
@@ -136,6 +138,7 @@ def view(
         post,
         provider=provider,
         size=symbols,
+        origin=parse_origin(origin),
         streaming=replace(streaming, wait=0),
         limits=limits,
     ) as (sources, models):

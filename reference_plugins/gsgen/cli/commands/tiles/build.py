@@ -47,6 +47,14 @@ _Transform = Annotated[
     Path | None,
     typer.Option(help="JSON: 16 numbers, scene → world. [default: upright, y down → z up]"),
 ]
+_Origin = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|X,Y,Z",
+        help="Point of the scenes that is 0,0,0 in the root tile; auto: 0,0,0, or a point that map "
+        "coordinates need.",
+    ),
+]
 _Longitude = Annotated[float | None, typer.Option(help="Longitude of the origin, in degrees.")]
 _Latitude = Annotated[float | None, typer.Option(help="Latitude of the origin, in degrees.")]
 _Height = Annotated[float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")]
@@ -77,6 +85,7 @@ def build(
     *,
     implicit: _ImplicitOption = False,
     transform: _Transform = None,
+    origin: _Origin = "auto",
     lon: _Longitude = None,
     lat: _Latitude = None,
     height: _Height = None,
@@ -92,6 +101,7 @@ def build(
     was stopped.
     """
     from gsgen.cli.commands.tiles.progress_bar import BarProgress
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.tiles.build.build import build_tileset
     from gsgen.tiles.build.engines.opening import open_engine
     from gsgen.tiles.build.neural_tiles import open_generator
@@ -117,6 +127,7 @@ def build(
         implicit=implicit,
         transform=_tileset_transform(transform, lon, lat, height),
         turn_upright=transform is None,
+        origin=parse_origin(origin),
     )
     generators = [open_generator(path) for path in neural or ()]
     progress: Progress = JsonProgress(_print_line) if as_json else BarProgress()

@@ -64,10 +64,11 @@ def _place_text(tileset_info: "TilesetInfo") -> str:
     """Return a tileset's longitude, latitude and height as text; empty if off the globe."""
     import numpy as np
 
+    from gsgen.tiles.format.tileset import GLOBE_DISTANCES
     from gsgen.tiles.format.volumes import geodetic
 
     origin = np.array(tileset_info.transform)[:3, 3]
-    if np.linalg.norm(origin) < 1e6:
+    if not GLOBE_DISTANCES[0] < np.linalg.norm(origin) < GLOBE_DISTANCES[1]:
         return ""
     longitude, latitude, height = geodetic(origin[None])
     east_degrees, north_degrees = np.degrees(longitude[0]), np.degrees(latitude[0])

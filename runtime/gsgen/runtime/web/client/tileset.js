@@ -18,7 +18,7 @@ const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
 const MOST_REQUESTS = 6; // at once
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const MOST_DEGREE = 3;
-const FAR = 1e6; // from the origin: the tileset stands on the globe, and up is away from its centre
+const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
 
 /** A tile, in the frame of the tileset. */
 class Tile {
@@ -101,7 +101,11 @@ export class TilesetModel {
     this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
     const { center, axes } = this._root;
     this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
-    this.up = Math.hypot(...center) > FAR ? normalized(center) : [0, 0, 1];
+    // Where the scene is 0, 0, 0: map coordinates are no place on the globe.
+    const offset = times(linearPart(this._root.frame), tileset.metadata?.properties?.origin ?? [0, 0, 0]);
+    const place = center.map((number, i) => number - offset[i]);
+    const distance = Math.hypot(...place);
+    this.up = distance > GLOBE[0] && distance < GLOBE[1] ? normalized(place) : [0, 0, 1];
     this.followsCamera = true;
     this.time = null;
     this.inputs = [];
