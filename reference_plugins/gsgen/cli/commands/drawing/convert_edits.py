@@ -29,7 +29,7 @@ RotateOption = Annotated[
     list[str] | None,
     _edit_option("Turn about the axes x, y, z in this order, in degrees.", "rotate"),
 ]
-Scale = Annotated[list[str] | None, _edit_option("Scale about the origin.", "scale")]
+Scale = Annotated[list[str] | None, _edit_option("Scale about 0,0,0.", "scale")]
 WithinBoxOption = Annotated[
     list[str] | None, _edit_option("Keep the splats between two corners.", "box")
 ]
