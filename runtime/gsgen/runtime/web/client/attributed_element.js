@@ -35,7 +35,7 @@ import { nearestWord } from "./words.js";
 // Servers import the module, and have no elements.
 const Element = globalThis.HTMLElement ?? /** @type {typeof HTMLElement} */ (class {});
 
-class Attributed extends Element {
+export class Attributed extends Element {
   static observedAttributes = Object.keys(ATTRIBUTES);
 
   constructor() {

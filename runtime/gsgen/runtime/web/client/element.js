@@ -194,11 +194,12 @@ export class GsgenModel extends AttributedElement {
     return this._shown?.playback ?? this._kept?.playback ?? null;
   }
 
-  /** Seconds since the start of the model's time. */
+  /** Seconds since the start of the model's time. @returns {number} */
   get currentTime() {
     return this._playback?.currentTime ?? this._wish.time ?? 0;
   }
 
+  /** @param {number} seconds */
   set currentTime(seconds) {
     if (!this._isNumber("currentTime", seconds)) return;
     if (this._playback) this._playback.currentTime = seconds;
@@ -218,11 +219,12 @@ export class GsgenModel extends AttributedElement {
     return Boolean(this._playback?.paused && this._playback.ended);
   }
 
-  /** How fast time passes: 1 is as the model says, and below 0 it goes back. */
+  /** How fast time passes: 1 is as the model says, and below 0 it goes back. @returns {number} */
   get playbackRate() {
     return this._rate;
   }
 
+  /** @param {number} rate */
   set playbackRate(rate) {
     if (!this._isNumber("playbackRate", rate)) return;
     this._rate = rate;
