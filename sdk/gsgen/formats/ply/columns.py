@@ -57,15 +57,19 @@ def _floats(
     shape = vertex.count, len(vertex.properties)
     rows = np.ndarray(shape, "<f4", data, first_row(data, header, vertex))
     column_indices = {name: column for column, name in enumerate(vertex.types)}
-    columns = {group: [column_indices[name] for name in names] for group, names in groups.items()}
+    columns = {
+        group: np.array([column_indices[name] for name in names], np.intp)
+        for group, names in groups.items()
+    }
     tables = {
         group: np.empty((vertex.count, len(names)), np.float32) for group, names in groups.items()
     }
     for start in range(0, vertex.count, CHUNK_ROWS):
         part = slice(start, start + CHUNK_ROWS)
+        chunk = rows[part]
         for group, table in tables.items():
-            # All columns exist: the mode only saves np.take a copy.
-            np.take(rows[part], columns[group], axis=1, out=table[part], mode="clip")
+            # All columns exist: the mode only saves `take` a copy.
+            chunk.take(columns[group], axis=1, out=table[part], mode="clip")
         # Pages that were read need not stay in memory; Windows drops them by itself.
         if start % _ROWS_PER_RELEASE == 0 and hasattr(mmap, "MADV_DONTNEED"):
             data.madvise(mmap.MADV_DONTNEED)

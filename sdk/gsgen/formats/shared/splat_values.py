@@ -140,9 +140,9 @@ def _require_rotations(rotation: Float32[np.ndarray, "n 4"], names: Sequence[str
 
 
 def _has_zero_quaternion(rotation: Float32[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
-    is_zero = rotation[:, 0] == 0  # of most files no row, so that one column is read
-    if is_zero.any():
-        is_zero &= (rotation == 0).all(axis=1)
+    is_zero = rotation[:, 0] == 0  # of few rows, whose other columns are read
+    candidates = np.flatnonzero(is_zero)
+    is_zero[candidates] = (rotation[candidates] == 0).all(axis=1)
     return np.asarray(is_zero)
 
 

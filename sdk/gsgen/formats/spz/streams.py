@@ -65,8 +65,8 @@ def decode(
         position=_decode_positions(streams["positions"], count, version, fractional_bits),
         rotation=decode_rotations(streams["rotations"]),
         log_scale=streams["scales"].reshape(count, 3) / np.float32(16) - np.float32(10),
-        logit_opacity=logit(streams["alphas"] / np.float32(255)),
-        sh=sh.astype(np.float32),
+        logit_opacity=logit(np.arange(256) / np.float32(255))[streams["alphas"]],
+        sh=np.asarray(sh, np.float32),
         antialiased=antialiased,
     )
 
