@@ -38,6 +38,14 @@ def test_models_of_sequences_and_optionals_are_kept_or_rewritten_right(word: str
 
 
 @pytest.mark.slow
+def test_models_that_name_the_type_of_a_result_are_kept_or_rewritten_right() -> None:
+    """Operators such as BitCast, whose attribute ``to`` says how many bits an element has."""
+    models = [model for model in backend_models() if "bitcast" in model.name]
+    assert len(models) >= 5
+    assert_no_faults([outcomes_of(model) for model in models])
+
+
+@pytest.mark.slow
 def test_every_fiftieth_backend_model_is_kept_or_rewritten_right() -> None:
     models = list(backend_models())[::50]
     assert len(models) >= 30

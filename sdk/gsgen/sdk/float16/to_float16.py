@@ -167,7 +167,9 @@ def _schema(node: ir.Node, opset: int) -> onnx.defs.OpSchema | None:
         a.type in (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
         for a in node.attributes.values()
     )
-    if node.domain not in MAIN_DOMAIN or bodies or "dtype" in node.attributes:
+    # An attribute names the type of the result: BitCast would read other bits.
+    names_type = "dtype" in node.attributes or ("to" in node.attributes and not is_op(node, "Cast"))
+    if node.domain not in MAIN_DOMAIN or bodies or names_type:
         return None
     try:
         return onnx.defs.get_schema(node.op_type, opset)
