@@ -12,8 +12,9 @@ from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.sdk import Gaussians, ParityFailed
 from gsgen.sdk.exporting import eager_reference, verification
-from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference
-from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects
+from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference, run_eager, run_in_float64
+from gsgen.sdk.exporting.parity_diagnosis import Diagnosis, ParitySuspects
+from gsgen.sdk.exporting.pipeline import ExportOptions
 from gsgen.sdk.exporting.prepare import manifest_of
 from gsgen.sdk.exporting.source_vectors import RowRecorder
 from gsgen.sdk.exporting.verification import _perturbed_probes, check_parity
@@ -203,13 +204,43 @@ def test_discontinuity_shifted_by_rounding_agrees_with_torch(monkeypatch) -> Non
     manifest = manifest_of(module, "m", "float32", 3)
     suspects = ParitySuspects(module, references[0].probe, (), True)
     recorder = RowRecorder(references, range(0), 0)
-    check = partial(check_parity, Path("m.onnx"), manifest, references, suspects, print, recorder)
+    options = ExportOptions(
+        path=Path("m.onnx"), name="m", opset=18, target="core", settings=None, progress=print
+    )
+    check = partial(check_parity, Path("m.onnx"), manifest, references, suspects, options, recorder)
     monkeypatch.setattr(verification, "run_exported", lambda *_, **__: iter(outputs))
     assert check().rows_at_threshold == 1
     rows[8, 3] += 0.1
-    monkeypatch.setattr(verification, "diagnose", lambda *_: ("", "hint"))
+    monkeypatch.setattr(verification, "diagnose", lambda *_: Diagnosis("", "hint"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 differs"):
         check()
+
+
+class Cancelling(Drift):
+    """With all inputs zero, digits cancel that float32 does not have."""
+
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        outputs = super().forward(time)
+        large = (outputs.position + 1000) * (1 - 0.999 * time)
+        return replace(outputs, position=(large - 1000 * (1 - 0.999 * time)) / (1 - 0.999 * time))
+
+
+@pytest.mark.parametrize(
+    ("error", "zeros", "holds"), [(2e-3, True, True), (0.2, True, False), (2e-3, False, False)]
+)
+def test_with_all_inputs_zero_a_model_may_differ_by_a_multiple_of_the_rounding_of_torch(
+    error: float, zeros: bool, holds: bool
+) -> None:
+    module = Cancelling().eval()
+    probe = Probe(label="p", inputs={"time": np.zeros(1, np.float32)}, zeros=zeros)
+    reference = run_eager(module, probe)
+    comparison = Comparison(
+        Tolerances(), exact=lambda reference: run_in_float64(module, reference.probe)
+    )
+    rows, color = layout.encode(reference.gaussians)
+    rows[0, 0] += error
+    comparison.add(reference, ModelOutput(rows, color, reference.count))
+    assert comparison.parity.holds is holds
 
 
 def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:

@@ -12,6 +12,7 @@ __all__ = [
     "for_shell",
     "for_terminal",
     "for_yaml",
+    "is_plain_name",
     "printable",
     "safe_json",
     "without_commands",
@@ -137,3 +138,8 @@ def _shell_escape(character: str) -> str:
     if 0x80 <= code <= 0xFF and not _has_glyph(character):  # \x80 would be a byte
         return f"\\u{code:04x}"
     return character if _has_glyph(character) else _escape_character(character)
+
+
+def is_plain_name(name: str) -> bool:
+    """Return whether the name of a tensor is printable and has no blank: tools may trim it."""
+    return name.isprintable() and " " not in name

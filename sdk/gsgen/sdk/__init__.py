@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.authoring.adapter import wrap
     from gsgen.sdk.authoring.cells import Cells
     from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
+    from gsgen.sdk.authoring.on_cpu import on_cpu
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed
     from gsgen.sdk.exporting.exporter import export
@@ -23,13 +24,15 @@ if TYPE_CHECKING:
 __all__ = [
     "Cells", "Demo", "ExportFailed", "ExportRejected", "Exported", "GaussianGenerator", "Gaussians",
     "GeneratorInvalid", "ParityFailed", "Plugin", "PostProcess", "Publication", "export",
-    "export_post_process", "inputs", "installed_plugins", "math", "wrap",
+    "export_post_process", "inputs", "installed_plugins", "math", "on_cpu",
+    "wrap",
 ]  # fmt: skip
 
 # Public name → the module that defines it, or that it is.
 _MODULE_BY_NAME: Final = {
     "math": "gsgen.sdk.math",
     "inputs": "gsgen.sdk.authoring.inputs",
+    "on_cpu": "gsgen.sdk.authoring.on_cpu",
     "wrap": "gsgen.sdk.authoring.adapter",
     "Cells": "gsgen.sdk.authoring.cells",
     "GaussianGenerator": "gsgen.sdk.authoring.generator",

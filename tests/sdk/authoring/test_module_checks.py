@@ -252,3 +252,16 @@ def test_factory_result_is_checked(tmp_path: Path) -> None:
     factory = load_factory("unready:Mine", tmp_path)
     with pytest.raises(GeneratorInvalid, match="does not call super"):
         factory.build({})
+
+
+@pytest.mark.parametrize("name", ["open mouth", "smile\t"])
+def test_a_name_with_a_blank_is_refused_before_the_trace(name: str, tmp_path: Path) -> None:
+    class Smiling(GaussianGenerator):
+        inputs = (inputs.control(name, range=(0, 1), default=0.0),)
+
+        def forward(self, smile: torch.Tensor) -> Gaussians:
+            raise AssertionError("forward ran")
+
+    with pytest.raises(GeneratorInvalid, match="has a blank or a control character") as caught:
+        export(Smiling(), tmp_path / "m.onnx")
+    assert "Write " in caught.value.hint

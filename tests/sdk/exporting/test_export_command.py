@@ -6,6 +6,7 @@ import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import Result
 from typer.testing import CliRunner
@@ -21,7 +22,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.validation.agreement import FieldError
 from gsgen.contract.validator import validate
-from gsgen.sdk import GeneratorInvalid, ParityFailed
+from gsgen.sdk import GeneratorInvalid, ParityFailed, export
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.plugins.factory import load_factory
 from gsgen.sdk.plugins.plugin import Plugin
@@ -79,6 +80,21 @@ def failing(n: int = 3):
 
 def anything(**options):
     return Dots(len(options))
+
+
+class Gpu(Dots):
+    # As training code: a device, a kernel of CUDA that is not called, and a warning.
+    def __init__(self) -> None:
+        import warnings
+
+        from simple_knn._C import distCUDA2
+
+        warnings.warn("torch.load may run code", FutureWarning, stacklevel=2)
+        super().__init__()
+        self.color = self.color.cuda()
+
+    def forward(self, time):
+        return super().forward(time.to("cuda"))
 
 
 finished = Dots(5)
@@ -339,3 +355,45 @@ def test_a_plugin_that_cannot_be_used_spoils_only_itself(
     completed = CliRunner().invoke(app, ["clashing", "file", "-o", "m.onnx"])
     assert isinstance(completed.exception, GsgenError)
     assert "parameter 'dtype' has the name of an option of every export" in str(completed.exception)
+
+
+def test_a_module_for_a_gpu_is_exported_with_a_stand_in_for_its_kernel(folder: Path) -> None:
+    error = error_of("dots:Gpu", "-o", "m.onnx")
+    assert "--stub simple_knn" in error.hint
+    words = ("dots:Gpu", "-o", "m.onnx", "--stub", "simple_knn,unused", "--json")
+    completed = run(*words, "--timeout", "300", "--skip", "merge-casts,mask-rows")
+    assert completed.exit_code == 0, completed.output
+    document = json.loads(completed.stdout)
+    assert document["options"]["skip"] == ["merge-casts", "mask-rows"]
+    assert document["options"]["timeout"] == 300
+    assert document["constants"] is None
+    names = [stage["name"] for stage in document["stages"]]
+    assert names[:3] == [
+        "running the module in eager torch",
+        "tracing the graph",
+        "rewriting the graph",
+    ]
+    assert all(stage["cpu_seconds"] >= 0 for stage in document["stages"])
+    assert (
+        "note: the module's code warns: FutureWarning: torch.load may run code" in completed.stderr
+    )
+    assert "simple_knn" not in sys.modules
+    with pytest.raises(UnknownName, match="unknown pass 'no-pass'"):
+        raise error_of("dots:Dots", "-o", "m.onnx", "--skip", "no-pass")
+
+
+def test_samples_are_compared_and_must_be_the_declared_inputs(folder: Path) -> None:
+    module = load_factory("dots:Dots", folder).build({})
+    result = export(
+        module, folder / "m.onnx", verify="quick", samples=[{"time": np.float32([0.37])}]
+    )
+    assert result.parity is not None
+    without = export(module, folder / "m.onnx", verify="quick").parity
+    assert without is not None
+    assert result.parity.probes == without.probes + 1
+    for sample, message in (
+        ({"moment": np.zeros(1)}, r"has the inputs \['moment'\], expected \['time'\]"),
+        ({"time": np.zeros(2)}, r"has the shape \[2\], expected \[1\]"),
+    ):
+        with pytest.raises(ConfigInvalid, match=message):
+            export(module, folder / "m.onnx", samples=[sample])

@@ -63,6 +63,15 @@ CALLS: dict[str, Call] = {
     "skinning_transforms": lambda x, v, p, t: math.skinning_transforms(
         math.axis_angle_to_matrix(x[:JOINTS, :3]), x[:JOINTS, 3:], PARENTS, x[0, :3]
     ),
+    "smpl_chain": lambda x, v, p, t: torch.cat(
+        [
+            entry.reshape(JOINTS, -1)
+            for entry in math.smpl_chain(
+                math.axis_angle_to_matrix(x[:JOINTS, :3]), x[:JOINTS, 3:], PARENTS
+            )
+        ],
+        dim=1,
+    ),
     "skin": lambda x, v, p, t: torch.cat(
         [entry.reshape(N, -1) for entry in math.skin(x[:, :3], x, v[None, :3].expand(6, 3, 4))],
         dim=1,

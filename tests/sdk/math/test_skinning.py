@@ -56,6 +56,25 @@ def test_kinematic_chain_agrees_with_a_loop(name: str) -> None:
     np.testing.assert_allclose(double_precision.numpy(), expected, atol=1e-5)
 
 
+def test_the_chain_of_smpl_has_the_posed_joints_and_the_relative_transforms() -> None:
+    """As the formula of SMPL: matrices are chained, then the rest pose is taken out of each."""
+    generator = torch.Generator().manual_seed(4)
+    turns = math.axis_angle_to_matrix(torch.randn(24, 3, generator=generator)).double()
+    joints = torch.randn(24, 3, generator=generator).double()
+    parents = torch.tensor(SMPL)
+    chain = torch.eye(4).double().repeat(24, 1, 1)
+    chain[:, :3, :3], chain[:, :3, 3] = turns, joints
+    chain[1:, :3, 3] -= joints[parents[1:]]
+    for joint in range(1, 24):
+        chain[joint] = chain[SMPL[joint]] @ chain[joint]
+    rest = torch.cat([joints, torch.zeros(24, 1).double()], dim=1)
+    relative = chain.clone()
+    relative[:, :, 3] -= (chain @ rest[..., None])[..., 0]
+    posed, transforms = math.smpl_chain(turns, joints, parents)
+    torch.testing.assert_close(posed, chain[:, :3, 3])
+    torch.testing.assert_close(transforms, relative)
+
+
 def test_a_chain_in_float64_is_exact() -> None:
     rng = np.random.default_rng(0)
     turns = Rotation.from_rotvec(rng.normal(size=(24, 3))).as_matrix()

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import nn
 
+from gsgen.contract._safe_text import is_plain_name
 from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.authoring.generator import GaussianGenerator
@@ -86,6 +87,10 @@ def _require_names_and_shapes(declared: Sequence[Input], kind: type[nn.Module], 
         if entry.role in ROLES and model_kind not in ROLES[entry.role].kinds:
             message = f"input {entry.name!r} has the role {entry.role}, which a {model_kind} lacks"
             hint = "Declare what it holds with another function of gsgen.sdk.inputs, such as condition."
+            raise GeneratorInvalid(message, where=where, hint=hint)
+        if not is_plain_name(entry.name):
+            hint = f"Write {''.join(c if c.isalnum() else '_' for c in entry.name)!r}; label= has the text of a slider."
+            message = f"the name {entry.name!r} of an input has a blank or a control character"
             raise GeneratorInvalid(message, where=where, hint=hint)
         if names.count(entry.name) > 1:
             hint = "Give each input a name of its own."

@@ -1,8 +1,18 @@
 """Run a torch generator in eager mode, as the reference that an exported model has to match."""
 
-__all__ = ["EagerRuns", "Reference", "call_module", "measure_bounds", "run_eager", "run_watched"]
+__all__ = [
+    "EagerRuns",
+    "Reference",
+    "call_module",
+    "measure_bounds",
+    "run_eager",
+    "run_in_float64",
+    "run_watched",
+]
 
 from collections.abc import Iterable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +111,18 @@ def run_eager(generator: GaussianGenerator, probe: Probe, *, checked: bool = Tru
     """
     output = call_module(generator, _tensors(probe))
     return _reference(generator, probe, output, checked=checked)
+
+
+def run_in_float64(generator: GaussianGenerator, probe: Probe) -> Reference | None:
+    """Run a copy of a torch generator in float64; None if forward has a dtype of its own."""
+    inputs = {
+        name: array.astype(np.float64) if array.dtype.kind == "f" else array
+        for name, array in probe.inputs.items()
+    }
+    try:
+        return run_eager(deepcopy(generator).double(), replace(probe, inputs=inputs), checked=False)
+    except GsgenError:
+        return None
 
 
 def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[str, np.ndarray]:

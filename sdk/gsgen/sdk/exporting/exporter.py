@@ -21,6 +21,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.module_checks import validate_module
+from gsgen.sdk.authoring.on_cpu import on_cpu
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.errors import ExportFailed, ExportRejected
 from gsgen.sdk.exporting.eager_reference import packed_outputs, run_eager
@@ -83,6 +84,7 @@ class _VerificationResult:
     images: tuple[ReferenceImage, ...]  # pictures of the module
 
 
+@on_cpu()
 def export(
     generator: GaussianGenerator,
     path: str | os.PathLike[str],
@@ -97,6 +99,7 @@ def export(
     verify: Literal["quick", "full"] = "full",
     pictures: SourcePictures | None = None,
     vectors: int = VECTOR_COUNT,
+    samples: Sequence[Mapping[str, np.ndarray]] = (),
     settings: Settings | None = None,
     progress: Progress = no_progress,
 ) -> Exported:
@@ -124,6 +127,8 @@ def export(
         vectors: How many test vectors with a few rows of the eager module the manifest gets, which
             level ``behaviour`` compares with; at most four. None are written if ``forward`` sorts,
             as equal keys may come in another order elsewhere.
+        samples: Inputs to compare at besides the contract's probes, by name: such as poses of the
+            training data, where random ones are far from all that the module knows.
         progress: Called with a message when a step begins.
 
     Raises:
@@ -132,7 +137,7 @@ def export(
         RewriteFailed: It cannot be converted to float16.
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
-        ConfigInvalid: ``vectors`` or ``pictures`` is out of range.
+        ConfigInvalid: ``vectors`` or ``pictures`` is out of range, or ``samples`` are not inputs.
     """
     path = Path(path)
     options = ExportOptions(
@@ -163,6 +168,7 @@ def export(
             stored_dtype=dtype,
             capacity=capacity,
             compared=BOUNDS_PROBES if verify == "full" else _QUICK_PROBE_COUNT,
+            samples=samples,
         )
         # Steps 2 to 4: tracing, rewriting and manifest.
         clock.begin("tracing the graph")

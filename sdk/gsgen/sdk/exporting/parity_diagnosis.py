@@ -3,17 +3,15 @@
 __all__ = ["Diagnosis", "ParitySuspects", "diagnose", "low_precision_hint"]
 
 from collections.abc import Callable, Sequence
-from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe, dependency_probes
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
-from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
+from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager, run_in_float64
 from gsgen.sdk.exporting.tracing.hazards import Hazard, HazardKind, describe_hazard
 from gsgen.sdk.exporting.tracing.operator_watch import OperatorWatch
 from gsgen.sdk.exporting.tracing.repeatability import find_unrepeatable
@@ -70,7 +68,7 @@ def diagnose(
     if low_precision := low_precision_hint(suspects.generator, references.probes[-1]):
         return Diagnosis(reason, "\n  ".join([low_precision, *map(str, suspects.hazards[:2])]))
     if suspects.hazards:
-        # What is lost was a value that left torch; else a layer that trains differs in the graph.
+        # A layer in training mode explains a difference best, equal keys of a sort least.
         first, *others = sorted(
             suspects.hazards, key=lambda hazard: (hazard.kind != "training", hazard.kind == "order")
         )
@@ -117,16 +115,10 @@ def _hint_without_line(suspects: ParitySuspects, references: EagerRuns) -> str:
 
 def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
     """Return whether a torch generator agrees in float32 and float64; None if float64 fails."""
-    float64_generator = deepcopy(generator).double()
     for reference in references:
-        inputs = {
-            name: array.astype(np.float64) if array.dtype.kind == "f" else array
-            for name, array in reference.probe.inputs.items()
-        }
-        try:
-            float64_outputs = run_eager(float64_generator, replace(reference.probe, inputs=inputs))
-        except GsgenError:
-            return None  # a dtype is written out in forward
+        float64_outputs = run_in_float64(generator, reference.probe)
+        if float64_outputs is None:
+            return None
         if not references_equal(reference, float64_outputs, _STABLE_TOLERANCE):
             return False
     return True

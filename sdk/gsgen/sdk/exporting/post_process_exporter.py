@@ -30,6 +30,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.agreement import FieldError
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.module_checks import validate_module
+from gsgen.sdk.authoring.on_cpu import on_cpu
 from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import call_module
@@ -59,6 +60,7 @@ _FLOAT16_ERROR_PROBE_COUNT = 3
 _TRACED_IMAGE_SIZE, _SECOND_IMAGE_SIZE = (64, 64), (48, 80)
 
 
+@on_cpu()
 def export_post_process(
     model: PostProcess,
     path: str | os.PathLike[str],

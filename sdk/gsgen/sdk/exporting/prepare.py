@@ -3,7 +3,7 @@
 __all__ = ["BOUNDS_PROBES", "PreparedExport", "default_dtype", "manifest_of", "prepare_export"]
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
@@ -11,7 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     Bounds,
@@ -80,6 +82,7 @@ def prepare_export(
     stored_dtype: Dtype,
     capacity: int | None,
     compared: int,
+    samples: Sequence[Mapping[str, np.ndarray]] = (),
 ) -> PreparedExport:
     """Run a torch generator in eager mode, and describe it by its declarations and its outputs.
 
@@ -90,7 +93,9 @@ def prepare_export(
         stored_dtype: The dtype of the outputs in the end.
         capacity: Rows of the outputs; as many as there are Gaussians if absent.
         compared: How many of the probes are compared, besides the all-zero one.
+        samples: Further inputs to compare at.
     """
+    sample_probes = _probes_of_samples(generator, samples)
     # Step 1: one run; the bounds are not known yet, so its probes lie around the default bounds.
     first_probes = probes_of(manifest_of(generator, options.name, dtype), count=BOUNDS_PROBES)
     start_time = time.perf_counter()
@@ -118,7 +123,9 @@ def prepare_export(
         compared_indices = indices if has_pictures else (0, *indices)
         compared_probes = [all_runs.probes[index] for index in compared_indices]
         recordable = len(compared_probes)
-        references = all_runs.with_probes([*compared_probes, *_far_camera_probes(manifest)])
+        references = all_runs.with_probes(
+            [*compared_probes, *_far_camera_probes(manifest), *sample_probes]
+        )
         example = all_runs.probes[1]
     return PreparedExport(
         generator=generator,
@@ -128,6 +135,27 @@ def prepare_export(
         example=example,
         watch=watch,
     )
+
+
+def _probes_of_samples(
+    generator: GaussianGenerator, samples: Sequence[Mapping[str, np.ndarray]]
+) -> list[Probe]:
+    """Return the author's own inputs as probes; raise if they are not those that are declared."""
+    probes = []
+    for number, sample in enumerate(samples):
+        names = [entry.name for entry in generator.inputs]
+        if sorted(sample) != sorted(names):
+            message = f"has the inputs {sorted(sample)}, expected {sorted(names)}"
+            raise ConfigInvalid(message, where=f"samples[{number}]")
+        inputs = {}
+        for entry in generator.inputs:
+            value = np.asarray(sample[entry.name], ROLES[entry.role].dtype[0])
+            if entry.shape is not None and value.shape != tuple(entry.shape):
+                message = f"has the shape {list(value.shape)}, expected {list(entry.shape)}"
+                raise ConfigInvalid(message, where=f"samples[{number}][{entry.name!r}]")
+            inputs[entry.name] = value
+        probes.append(Probe(label=f"sample {number}", inputs=inputs))
+    return probes
 
 
 def _with_outputs(

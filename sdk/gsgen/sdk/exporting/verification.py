@@ -15,7 +15,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
+from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager, run_in_float64
 from gsgen.sdk.exporting.frame_size import frame_bytes
 from gsgen.sdk.exporting.parity_diagnosis import ParitySuspects, diagnose, low_precision_hint
 from gsgen.sdk.exporting.pipeline import ExportOptions
@@ -52,10 +52,14 @@ def check_parity(
         probes = _perturbed_probes(reference.probe)
         return (run_eager(suspects.generator, probe, checked=False) for probe in probes)
 
+    def exact(reference: Reference) -> Reference | None:
+        return run_in_float64(suspects.generator, reference.probe)
+
     comparison = Comparison(
         allowed or manifest.tolerances or Tolerances(),
         roundings=roundings,
         nearby=nearby,
+        exact=exact,
         # Where values tie, kernels of sorts order rows in their own way.
         ignores_row_order=any(hazard.kind == "order" for hazard in suspects.hazards),
     )

@@ -13,7 +13,7 @@ __all__ = [
     "quaternion_multiply", "quaternion_to_matrix",
     "rotate_covariance", "safe_normalize", "sample_plane", "sh_from_channel_major",
     "sh_from_coefficient_major", "sh_from_ply", "sh_from_rgb", "sh_of_degree", "skin",
-    "skinning_transforms", "to_unit_cube", "top_rows", "transform_points", "tri_plane",
+    "skinning_transforms", "smpl_chain", "to_unit_cube", "top_rows", "transform_points", "tri_plane",
     "upper_triangle",
 ]  # fmt: skip
 
@@ -43,4 +43,4 @@ from gsgen.sdk.math.rotations import (
     safe_normalize,
     transform_points,
 )
-from gsgen.sdk.math.skinning import skin, skinning_transforms
+from gsgen.sdk.math.skinning import skin, skinning_transforms, smpl_chain

@@ -6,7 +6,7 @@ After k rounds of one gather and one batched product, 2ᵏ joints of a chain are
 jumping), so the 24 joints of SMPL need four rounds.
 """
 
-__all__ = ["NO_PARENT_JOINT", "skin", "skinning_transforms"]
+__all__ = ["NO_PARENT_JOINT", "skin", "skinning_transforms", "smpl_chain"]
 
 from collections.abc import Iterator, Sequence
 
@@ -50,6 +50,31 @@ def skinning_transforms(
     if translation is not None:
         translations = translations + translation.reshape(1, 3, 1)
     return torch.cat([rotation, translations], dim=2)
+
+
+def smpl_chain(
+    turns: Float[Tensor, "j 3 3"], joints: Float[Tensor, "j 3"], parents: Sequence[int] | Tensor
+) -> tuple[Float[Tensor, "j 3"], Float[Tensor, "j 4 4"]]:
+    """Return the posed joints and their transforms, as SMPL's code does (Loper et al. 2015, eq. 4).
+
+    It takes the place of ``batch_rigid_transform`` in ``smplx.lbs``, without the batch axis.
+
+    Args:
+        turns: Rotation of each joint in its parent's frame.
+        joints: Joint positions in the rest pose.
+        parents: The parent of each joint; −1 for a root. A tensor must be a constant.
+
+    Returns:
+        The joints in the pose, and matrices that move homogeneous points of the rest pose.
+
+    Raises:
+        GeneratorInvalid: The parents have another number, are not joints, or form a cycle.
+    """
+    indices = parents.tolist() if isinstance(parents, Tensor) else parents
+    transforms = skinning_transforms(turns, joints, indices)
+    posed = transform_points(transforms[:, :, :3], joints) + transforms[:, :, 3]
+    last_row = torch.eye(4, dtype=turns.dtype, device=turns.device)[3].expand(len(joints), 1, 4)
+    return posed, torch.cat([transforms, last_row], dim=1)
 
 
 def skin(

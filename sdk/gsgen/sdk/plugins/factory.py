@@ -240,4 +240,7 @@ def _factory_error(error: Exception, where: str) -> GsgenError:
     line = user_line_of(error)
     location = f"{where}, {line}" if line else where
     hint = misspelling_hint(error)
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        package = error.name.partition(".")[0]
+        hint = f"Install {package}; or add --stub {package} if nothing calls it."
     return GsgenError(f"{type(error).__name__}: {reason}", where=location, hint=hint)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 
+from gsgen.contract._safe_text import is_plain_name
 from gsgen.contract.model.graph import Tensor, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
@@ -38,7 +39,7 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(f"node {name}", f"{count} nodes have this name", "unique node names")
     for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
-            if not tensor.name.isprintable() or " " in tensor.name:
+            if not is_plain_name(tensor.name):
                 yield Violation.at(
                     f"{kind} {tensor.name!r}", "the name contains a blank", "a name without blanks"
                 )

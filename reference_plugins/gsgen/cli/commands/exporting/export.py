@@ -2,6 +2,7 @@
 
 __all__ = ["app"]
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -89,22 +90,41 @@ def _is_module(name: str) -> bool:
 def _export_command(target: str, *, wants_help: bool) -> Any:
     """Return the command that exports ``module:factory``, which is imported when it runs."""
     single_command_app = typer.Typer(add_completion=False)
+    resources = ExitStack()
     entry = typer.Option(
         "--arg",
         metavar="KEY=VALUE",
         help="An argument of the factory, typed as it declares; repeatable.",
     )
 
-    def build(arg: Annotated[list[str] | None, entry] = None) -> Any:
-        from gsgen.sdk.plugins.factory import load_factory
+    stub = typer.Option(
+        "--stub",
+        metavar="MODULE,…",
+        help="Packages that are not installed and not called, such as kernels of CUDA; repeatable.",
+    )
 
-        factory = load_factory(target)
-        return factory.build(factory.arguments(arg or []))
+    def build(
+        arg: Annotated[list[str] | None, entry] = None,
+        stub: Annotated[list[str] | None, stub] = None,
+    ) -> Any:
+        from gsgen.sdk.plugins.factory import load_factory, require_torch
+        from gsgen.sdk.plugins.stand_ins import stand_ins
+
+        require_torch()
+        from gsgen.sdk.authoring.on_cpu import on_cpu
+
+        # forward may import the packages, too, so the stand-ins stay until the export ends.
+        names = [name for names in stub or () for name in names.split(",")]
+        resources.enter_context(stand_ins(names))
+        with on_cpu():
+            factory = load_factory(target)
+            return factory.build(factory.arguments(arg or []))
 
     def run(module: Any, request: Any) -> None:
         from gsgen.cli.commands.exporting.export_job import run_export
 
-        run_export(module, request, target)
+        with resources:
+            run_export(module, request, target)
 
     function = with_common_options(build, run)
     help = f"Export the result of {target}."

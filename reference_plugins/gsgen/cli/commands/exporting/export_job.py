@@ -2,7 +2,9 @@
 
 __all__ = ["run_export"]
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +35,8 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
     level_faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
-        result = _run_export_job(build, request)
+        with _collected_warnings() as warning_notes:
+            result = _run_export_job(build, request)
     except level_faults as error:
         clear()
         outcome = ExportOutcome(
@@ -48,7 +51,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
     clear()
-    for note in result.notes:
+    for note in (*result.notes, *warning_notes):
         echo(f"note: {note}", err=True)
     outcome = ExportOutcome(
         written=True,
@@ -62,6 +65,22 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     emit_report(replace(request, dtype=result.dtype), source, outcome)
     if not request.as_json:
         _show_result(result)
+
+
+@contextmanager
+def _collected_warnings() -> Iterator[list[str]]:
+    """Keep the warnings of the module's code off the screen; give them as one line at the end."""
+    notes: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        yield notes
+    texts = dict.fromkeys(
+        f"{entry.category.__name__}: {' '.join(str(entry.message).split())[:120]}"
+        for entry in caught
+    )
+    if texts:
+        more = f", and {len(texts) - 1} more" if len(texts) > 1 else ""
+        notes.append(f"the module's code warns: {next(iter(texts))}{more}")
 
 
 def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Exported":

@@ -41,7 +41,7 @@ class ExportOutcome:
 def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> None:
     """Write and print the options and the outcome of an export as JSON, where requested."""
     options = {key: _json_value(value) for key, value in asdict(request).items()}
-    del options["as_json"]  # says how the report is printed, not what was exported
+    del options["as_json"]  # how the report is printed, not an option of the export
     document = {
         "schema": _REPORT_SCHEMA,
         "tool": f"gsgen {version('gsgen')}",

@@ -52,8 +52,8 @@ _TRACEABLE_HAZARDS: tuple[HazardKind, ...] = (
     "training",
 )
 _TRACE_HINT = (
-    "This is torch's own message. Leave out parts of forward until it exports, and write what is "
-    "left with other operators."
+    "The message is torch's own. Leave out parts of forward until it exports, and write the part "
+    "that stops it with other operators."
 )
 
 
