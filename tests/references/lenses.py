@@ -10,6 +10,9 @@ its user's manual; nerfstudio's of its undistortion (``camera_utils.py``).
 import math
 from collections.abc import Sequence
 
+import numpy as np
+from jaxtyping import Float
+
 from gsgen.runtime.scene.camera import Camera
 
 Pixel = tuple[float, float]
@@ -169,17 +172,26 @@ def bundler_pixel(focal: float, k1: float, k2: float, size: tuple[int, int], poi
 
 def lens_pixel(camera: Camera, point: Point) -> Pixel:
     """Return the pixel of a point in camera space by OpenCV's formulas, for a ``Camera``."""
-    u, v = (
-        _fisheye_angles(point)
-        if camera.kind == "fisheye"
-        else (point[0] / point[2], point[1] / point[2])
-    )
+    u, v = lens_pixels(camera, np.array([point]))[0].tolist()
+    return u, v
+
+
+def lens_pixels(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Return the pixels of points in camera space by OpenCV's formulas, for a ``Camera``."""
+    x, y, z = points.T
+    if camera.kind == "fisheye":
+        rho = np.hypot(x, y)
+        scale = np.where(rho > 0, np.arctan2(rho, z) / np.where(rho > 0, rho, 1), 1)
+        u, v = scale * x, scale * y
+    else:
+        u, v = (x, y) if camera.kind == "orthographic" else (x / z, y / z)
     if camera.distortion is not None:
         (k1, k2, k3, k4), (d1, d2, d3) = camera.distortion.radial, camera.distortion.divisor
         (p1, p2), (s1, s2) = camera.distortion.tangential, camera.distortion.prism
         r2 = u * u + v * v
         factor = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + k4 * r2**4
-        factor /= 1 + d1 * r2 + d2 * r2**2 + d3 * r2**3
-        du, dv = _with_tangential(u, v, factor - 1, p1, p2)
-        u, v = u + du + s1 * r2, v + dv + s2 * r2
-    return camera.fx * u + camera.cx, camera.fy * v + camera.cy
+        factor = factor / (1 + d1 * r2 + d2 * r2**2 + d3 * r2**3)
+        du = 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + s1 * r2
+        dv = 2 * p2 * u * v + p1 * (r2 + 2 * v * v) + s2 * r2
+        u, v = u * factor + du, v * factor + dv
+    return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], -1)

@@ -13,6 +13,7 @@ from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from references.lenses import lens_pixel
+from references.projected_density import decibels_where_drawn, sampled_alpha
 from support.rendering.mesh_scenes import ball
 from support.rendering.splat_scenes import LENSES, SCENES, cloud, single
 
@@ -99,6 +100,25 @@ def test_meshes_are_refused_by_the_name_of_the_lens(renderer: Renderer, kind: st
     with pytest.raises(SceneInvalid, match=rf"camera: {words}.*has meshes\n.*Leave the meshes out"):
         renderer.render(scene, camera)
     assert renderer.render(Scene([single()]), camera).visible == 1  # the renderer goes on
+
+
+@pytest.mark.parametrize(
+    ("name", "degrees"),
+    [("lens_cushion", 25), ("lens_rational", 25), ("fisheye", 90), ("fisheye_prism", 60)],
+)
+def test_small_gaussian_is_like_the_density_of_its_samples(
+    renderer: Renderer, name: str, degrees: float
+) -> None:
+    """Samples are projected one by one: 40 dB for a Gaussian of half a degree."""
+    camera = replace(SCENES[name]()[1], view=np.eye(4)).scaled(976, 752)
+    angle = np.radians(degrees)
+    center = 5 * np.array([0.96 * np.sin(angle), -0.28 * np.sin(angle), np.cos(angle)])
+    data = dots(center[None], size=0.008)
+    drawn = renderer.render(Scene([data]), camera).alpha
+    covariance = np.diag(data.rows[0, [4, 7, 9]].astype(float))
+    expected = sampled_alpha(camera, data.rows[0, :3].astype(float), covariance, 0.9, exponent=18)
+    assert expected.max() > 0.8
+    assert decibels_where_drawn(drawn, expected) >= 40
 
 
 def test_lens_that_moves_nothing_draws_the_pinhole_bit_by_bit(renderer: Renderer) -> None:
