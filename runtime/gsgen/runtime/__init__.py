@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.scene.distortion import Distortion
     from gsgen.runtime.scene.frame import NOTHING, Frame
     from gsgen.runtime.scene.mesh import Mesh, MeshData
     from gsgen.runtime.scene.scene import Box, Scene, SplatSet
@@ -40,6 +41,7 @@ __all__ = [
     "CapacityExceeded",
     "Device",
     "DeviceUnavailable",
+    "Distortion",
     "Frame",
     "FrameRequest",
     "GeneratorPlayer",
@@ -86,6 +88,7 @@ _MODULE_BY_NAME: Final = {
     "PostProcessor": "gsgen.runtime.playback.post_process",
     "Renderer": "gsgen.runtime.renderer.renderer",
     "Camera": "gsgen.runtime.scene.camera",
+    "Distortion": "gsgen.runtime.scene.distortion",
     "NOTHING": "gsgen.runtime.scene.frame",
     "Frame": "gsgen.runtime.scene.frame",
     "Mesh": "gsgen.runtime.scene.mesh",
