@@ -60,7 +60,9 @@ class Answer:
             return "an error, and a file"
         if len(self.errors) != 1:
             return f"{len(self.errors)} errors"
-        return "" if "\n" in self.errors[0] else "an error that does not say what to do"
+        _, *lines = self.errors[0].splitlines()
+        has_hint = any(not line.startswith("  expected ") for line in lines)
+        return "" if has_hint else "an error that does not say what to do"
 
 
 @contextmanager

@@ -42,6 +42,10 @@ def test_ten_things_have_an_answer(command: str, tmp_path: Path) -> None:
         (Answer(code=0, files=(), errors=(), out=""), "exit code 0 without a result"),
         (Answer(code=4, files=(), errors=("gsgen: a\n  do this",), out=""), ""),
         (Answer(code=4, files=(), errors=("gsgen: a",), out=""), "does not say what to do"),
+        (
+            Answer(code=4, files=(), errors=("gsgen: a\n  expected b",), out=""),
+            "does not say what to do",
+        ),
         (Answer(code=4, files=(), errors=("a\n  b", "c\n  d"), out=""), "2 errors"),
         (Answer(code=3, files=(), errors=("a\n  b",), out=""), "a crash"),
         (Answer(code=2, files=("a",), errors=("a\n  b",), out=""), "an error, and a file"),

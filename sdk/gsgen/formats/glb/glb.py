@@ -134,7 +134,9 @@ def _decode(glb: Container, max_bytes: int) -> Splats:
         parts.append(transform_splats(splats, matrix))
     if not parts:
         raise PropertyMissing(
-            "the glTF scene holds no splats", expected=f"a mesh of points with {EXTENSION_NAME}"
+            "the glTF scene holds no splats",
+            expected=f"a mesh of points with {EXTENSION_NAME}",
+            hint="`gsgen render` draws the meshes of a file.",
         )
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
