@@ -121,6 +121,8 @@ FAULTS: list[tuple[str, object, str]] = [
     ("properties.height.minimum", LACKING, ""),
     ("properties.height.maximum", "2", ""),
     ("properties.height.minimum", 3, "properties.height"),
+    ("properties.height.minimum", 10**400, "properties.height"),
+    (f"{COLUMNS}.height.max", 10**400, ""),
     # groups and statistics
     ("groups", [], ""),
     ("groups[0].class", 1.5, ""),
@@ -305,7 +307,9 @@ def test_members_within_extras_are_not_looked_at() -> None:
     assert locations(edited(DOCUMENT, "root.extras", {"extensions": {"EXAMPLE_d": {}}})) == []
 
 
+HUGE = st.sampled_from([10**400, -(10**400), 1e999, -1e999])
 VALUES = st.one_of(
+    HUGE, st.lists(HUGE, max_size=2),
     st.none(), st.booleans(), st.integers(-3, 300), st.floats(-2, 2), st.text(max_size=3),
     st.lists(st.integers(0, 2), max_size=3), st.dictionaries(st.text(max_size=2), st.none()),
 )  # fmt: skip
@@ -320,7 +324,7 @@ def paths(value: object, prefix: str = "") -> list[str]:
 
 
 @given(path=st.sampled_from(paths(DOCUMENT)), value=st.one_of(VALUES, st.just(LACKING)))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=400, deadline=None)
 def test_any_value_of_any_member_is_judged_without_a_traceback(path: str, value: object) -> None:
     document = edited(DOCUMENT, path, value)
     entry = JsonObject(document, "tileset.json, ")

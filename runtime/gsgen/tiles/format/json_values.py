@@ -1,6 +1,6 @@
 """Reads typed values from parsed JSON; each value is checked when it is read."""
 
-__all__ = ["JsonDict", "JsonObject", "parse_object", "shorten"]
+__all__ = ["JsonDict", "JsonObject", "is_number", "parse_object", "shorten"]
 
 import json
 import math
@@ -122,26 +122,27 @@ class JsonObject:
     def number(self, key: str, *, least: float = -_MAX_MAGNITUDE) -> float:
         """Return the finite JSON number at ``key``, which is at least ``least``."""
         value = self.values.get(key)
-        if not _is_number(value) or value < least:
+        if not is_number(value) or value < least:
             self.refuse(key, "a number" if least < 0 else f"a number, {least:g} or more")
         return float(value)
 
     def whole(self, key: str, *, least: int = 0, most: int = 2**53) -> int:
         """Return the whole JSON number at ``key``, from ``least`` to ``most``."""
         value = self.values.get(key)
-        if not _is_number(value) or value != int(value) or not least <= value <= most:
+        if not is_number(value) or value != int(value) or not least <= value <= most:
             self.refuse(key, f"a whole number from {least} to {most}")
         return int(value)
 
     def numbers(self, key: str, count: int) -> Float64[np.ndarray, " n"]:
         """Return the ``count`` finite numbers of the JSON array at ``key``."""
         value = self.values.get(key)
-        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
+        if not isinstance(value, list) or len(value) != count or not all(map(is_number, value)):
             self.refuse(key, f"{count} finite numbers")
         return np.array(value, np.float64)
 
 
-def _is_number(value: object) -> TypeGuard[float]:
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a JSON value is a number that float64 holds."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < _MAX_MAGNITUDE and not math.isnan(value)

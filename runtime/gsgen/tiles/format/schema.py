@@ -33,7 +33,7 @@ _FLAG: Final[Schema] = {"type": "boolean"}
 _NUMBER: Final[Schema] = {"type": "number"}
 _COUNT: Final[Schema] = {"type": "integer", "minimum": 0}
 _LEVELS: Final[Schema] = {"type": "integer", "minimum": 1}
-_NAMES: Final[Schema] = {"type": "array", "items": _TEXT, "minItems": 1, "uniqueItems": True}
+_NAMES: Final[Schema] = {"type": "array", "items": _TEXT, "minItems": 1}
 _CLASS_NAME: Final[Schema] = {"type": "string", "pattern": _IDENTIFIER}
 # A number, or arrays of numbers: vectors, matrices, and arrays of either.
 _NUMERIC: Final[Schema] = {

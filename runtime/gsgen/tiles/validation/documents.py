@@ -104,8 +104,6 @@ def _from_schema_error(entry: JsonObject, error: "ValidationError") -> TilesetIn
     if keyword == "required":
         path.append(error.message.split("'")[1])
         actual, expected = "the member is missing", "the member, which 3D Tiles requires"
-    elif keyword == "uniqueItems":
-        expected = "every entry once"
     elif keyword == "enum":
         expected = f"one of {', '.join(map(str, bound))}"
     elif not expected:
@@ -163,12 +161,19 @@ def _range_faults(document: JsonObject) -> Iterator[TilesetInvalid]:
         if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
             location = f"{document.at('properties')}.{name}"
             yield TilesetInvalid(
-                f"minimum {low:g}", location=location, expected=f"the maximum {high:g} or less"
+                f"minimum {low!r:.40}",
+                location=location,
+                expected=f"the maximum {high!r:.40} or less",
             )
 
 
 def _extension_faults(document: JsonObject) -> Iterator[TilesetInvalid]:
     """Yield extensions that the file contains or needs, and does not declare."""
+    for key in ("extensionsUsed", "extensionsRequired"):
+        # jsonschema's own test of unique entries takes the square of their number.
+        entries = document.values.get(key)
+        if isinstance(entries, list) and len(set(map(str, entries))) < len(entries):
+            yield _fault(document, key, "every entry once")
     declared = document.values.get("extensionsUsed", [])
     names = set(map(str, declared)) if isinstance(declared, list) else set()
     missing = dict.fromkeys(name for name in _extension_names(document.values) if name not in names)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.implicit_tiling.property_table import NUMBER_COUNT_BY_TYPE
-from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
+from gsgen.tiles.format.json_values import JsonDict, JsonObject, is_number, shorten
 from gsgen.tiles.format.schema import COMPONENT_RANGES
 
 _FLOATS: Final = ("FLOAT32", "FLOAT64")
@@ -213,8 +213,8 @@ def _number_faults(
         yield _fault(owner, key, f"{width} numbers, as {kind} has")
         return
     numbers = [number for row in rows for number in row]
-    if not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
-        yield _fault(owner, key, f"numbers of type {component}")
+    if not all(map(is_number, numbers)):
+        yield _fault(owner, key, f"finite numbers of type {component}")
     elif component in COMPONENT_RANGES:
         least, most = COMPONENT_RANGES[component]
         if not all(least <= n <= most and n == int(n) for n in numbers):
