@@ -10,6 +10,7 @@ import pytest
 
 from gsgen.formats import (
     FormatError,
+    FormatWarning,
     HeaderMalformed,
     NotSupported,
     SizeExceeded,
@@ -53,6 +54,12 @@ def test_each_leaf_gives_its_finest_level(tree: dict, tmp_path: Path) -> None:
     assert len(splats) == 22
     assert_near(rows(splats, np.arange(15)), rows(first, np.arange(5, 20)))
     assert_near(rows(splats, np.arange(15, 22)), rows(second, np.arange(7)))
+
+
+def test_key_that_is_not_used_is_named(tmp_path, tree) -> None:
+    (tmp_path / "lod-meta.json").write_text(json.dumps(tree | {"asset": {}, "time": 1}))
+    with pytest.warns(FormatWarning, match="not used: key time$"):
+        read_sog(tmp_path / "lod-meta.json")
 
 
 def test_the_environment_is_part_of_the_scene(tree: dict, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ from gsgen.formats.sog.meta import (
     palette_of_image,
     parse_object,
 )
-from gsgen.formats.sog.streamed import is_streamed, read_levels
+from gsgen.formats.sog.streamed import STREAMED_KEYS, is_streamed, read_levels
 
 __all__ = ["read_sog"]
 
@@ -104,7 +104,7 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> tuple[Splats, list[str]]:
     data = parse_object(fetch(name, MAX_META))
     if not is_streamed(data):
         return _decode(fetch, name, max_bytes)
-    unused: list[str] = []
+    unused = [f"key {key}" for key in data if key not in STREAMED_KEYS]
 
     def read_part(part: str, limit: int) -> Splats:
         file = Path(path).parent / part

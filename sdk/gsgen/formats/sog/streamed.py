@@ -17,6 +17,21 @@ from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.meta import STREAMED_META
 
+STREAMED_KEYS: Final = frozenset(
+    {
+        "asset",
+        "count",
+        "counts",
+        "environment",
+        "filenames",
+        "lodErrors",
+        "lodLevels",
+        "tree",
+        "version",
+    }
+)
+"""The keys of a lod-meta.json that the tree needs, or that repeat its numbers."""
+
 _MAX_DEPTH: Final = 64
 _MAX_LEAVES: Final = 1 << 20
 
