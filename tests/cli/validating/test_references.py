@@ -25,6 +25,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 from support.commands import gsgen_here
 
 RENDER = Settings(level=Level.RENDER)
@@ -178,8 +179,15 @@ def test_recorded_cameras_match_the_requested_ones(renderer: Renderer, tmp_path:
     (tmp_path / "round.json").write_text(
         Camera.panorama((0, 0, 0), (0, 0, 1), width=64, height=32).to_json()
     )
-    with pytest.raises(SceneInvalid, match="is panorama, expected a pinhole"):
-        record_references(
-            source, tmp_path / "b.onnx", camera=str(tmp_path / "round.json"), renderer=renderer
-        )
+    barrel = Camera.look_at((0, 0, -3), (0, 0, 0), width=64, height=36)
+    lens = Distortion.of({"k1": -0.1})
+    (tmp_path / "barrel.json").write_text(replace(barrel, distortion=lens).to_json())
+    for name, words in (("round", "is panorama"), ("barrel", "is pinhole with lens distortion")):
+        with pytest.raises(SceneInvalid, match=f"{words}, expected a pinhole"):
+            record_references(
+                source,
+                tmp_path / "b.onnx",
+                camera=str(tmp_path / f"{name}.json"),
+                renderer=renderer,
+            )
     assert not (tmp_path / "b.onnx").exists()

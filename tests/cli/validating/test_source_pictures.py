@@ -96,6 +96,23 @@ def test_fields_of_the_cameras_that_are_not_used_are_noted(trained: Path) -> Non
     assert "not used: the times; all pictures have the inputs of" in completed.err
 
 
+@pytest.mark.parametrize(
+    ("lens", "words"),
+    [({"k1": 0.1}, "pinhole with lens distortion"), ({"is_fisheye": True}, "kind fisheye")],
+)
+def test_cameras_with_a_lens_are_refused(
+    trained: Path, lens: dict[str, object], words: str
+) -> None:
+    """A declared picture has a pinhole, so the pictures have to be undistorted."""
+    path = trained / "transforms.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | lens))
+    completed = recorded(trained)
+    assert completed.code == 2
+    assert words in completed.err
+    assert "give the cameras of the undistorted pictures" in completed.err
+    assert not (trained / "copy.onnx").exists()
+
+
 def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> None:
     spec = find("still_sh1").draw()
     colors = spec.weights["colors"].reshape(-1, 4, 3)[..., ::-1].reshape(-1, 12)

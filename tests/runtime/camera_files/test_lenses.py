@@ -12,6 +12,7 @@ import pytest
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files import open_cameras
 from gsgen.runtime.camera_files.colmap_models import CAMERA_MODELS, MODEL_NAMES
+from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.oracle.projection import ellipses
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
@@ -201,6 +202,12 @@ VARIANTS: dict[str, Callable[[Path], tuple[Path, Project]]] = {
 }
 
 
+NO_COEFFICIENTS = {
+    *("colmap SIMPLE_FISHEYE", "colmap FISHEYE", "colmap binary FISHEYE"),
+    *("nerfstudio camera path", "bundler", "gsgen"),
+}
+
+
 def pixels_of(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Where the reference renderer projects points of the world."""
     rows = np.zeros((len(points), 10))
@@ -224,6 +231,20 @@ def test_lens_of_a_file_projects_as_its_program_does(name: str, tmp_path: Path) 
     in_image = ((expected > 0) & (expected < [WIDTH, HEIGHT])).all(axis=1)
     assert in_image.sum() > 15
     np.testing.assert_allclose(pixels_of(camera, points)[in_image], expected[in_image], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if name not in NO_COEFFICIENTS])
+def test_coefficient_that_is_too_large_is_refused_with_its_place(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(COEFFICIENTS, "k1", 1e200)
+    monkeypatch.setitem(COEFFICIENTS, "k", 1e200)
+    path, _ = VARIANTS[name](tmp_path)
+    with pytest.raises(
+        SceneInvalid, match=r"distortion\.radial: is .*expected 4 numbers"
+    ) as caught:
+        open_cameras(path)
+    assert str(tmp_path) in str(caught.value)
 
 
 def refused_text(model: str, folder: Path) -> Path:

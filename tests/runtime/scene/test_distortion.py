@@ -159,3 +159,22 @@ def test_invalid_lens_is_explained(kind: str, distortion: object, words: str) ->
     document = {"view": np.eye(4).tolist(), "fx": 9.0, "fy": 9.0, "kind": kind, **SIZE}
     with pytest.raises(SceneInvalid, match=words):
         Camera.from_dict(document | {"distortion": distortion})
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
+def test_any_coefficients_make_finite_numbers(kind: str) -> None:
+    """Signs and sizes from 1e-30 to the largest ones, without a warning of NumPy."""
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        values = 10.0 ** rng.uniform(-30, 6, 11) * rng.choice([-1, 0, 1], 11)
+        radial, divisor, tangential, prism = np.split(values, [4, 7, 9])
+        lens = Distortion(
+            radial=tuple(radial.tolist()),
+            divisor=tuple(divisor.tolist()),
+            tangential=tuple(tangential.tolist()),
+            prism=tuple(prism.tolist()),
+        )
+        camera = camera_of(kind, lens)
+        assert 0 < camera.ray_limit <= 1000
+        assert np.isfinite(camera.projection).all()
+        assert 0 < camera.half_angle() <= math.pi

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.scene.distortion import Distortion
+from gsgen.runtime.camera_files.fields import distortion_at
 
 CAMERA_MODELS: Final = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -97,5 +97,5 @@ def intrinsics(model: str, values: tuple[float, ...], where: str) -> dict[str, A
         "cx": by_name["cx"],
         "cy": by_name["cy"],
         "kind": "fisheye" if "FISHEYE" in model else "pinhole",
-        "distortion": Distortion.of(by_name, is_rational=model == "FULL_OPENCV"),
+        "distortion": distortion_at(where, by_name, is_rational=model == "FULL_OPENCV"),
     }

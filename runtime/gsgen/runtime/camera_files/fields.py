@@ -7,6 +7,7 @@ __all__ = [
     "Fields",
     "camera_at",
     "coefficients",
+    "distortion_at",
     "matrix",
     "number",
     "pixel_count",
@@ -25,6 +26,7 @@ from jaxtyping import Float
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.distortion import Distortion
 
 _LISTED_FIELDS: Final = 24  # unused fields that a note lists
 
@@ -140,6 +142,18 @@ def camera_at(where: str, **values: Any) -> Camera:
     """Build a camera from attributes; errors name the location in the camera file."""
     try:
         return Camera(**values)
+    except SceneInvalid as error:
+        raise SceneInvalid(
+            error.message, where=f"{where}, {error.where}", hint=error.hint
+        ) from error
+
+
+def distortion_at(
+    where: str, values: Mapping[str, float], *, is_rational: bool = False
+) -> Distortion:
+    """Build a lens distortion by :meth:`Distortion.of`; errors name the location in the file."""
+    try:
+        return Distortion.of(values, is_rational=is_rational)
     except SceneInvalid as error:
         raise SceneInvalid(
             error.message, where=f"{where}, {error.where}", hint=error.hint

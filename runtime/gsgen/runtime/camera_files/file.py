@@ -36,7 +36,7 @@ class CameraFile:
         path: Path of the file.
         format: Title of the file's format.
         cameras: The cameras, in the order of the file.
-        notes: Sentences about losses, such as lens distortion, and fields that are not used.
+        notes: Sentences about losses, such as cameras without a pose, and fields that are not used.
         fps: Frames per second of a camera path that has a rate.
     """
 

@@ -22,6 +22,7 @@ from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
     coefficients,
+    distortion_at,
     matrix,
     number,
     pixel_count,
@@ -31,7 +32,6 @@ from gsgen.runtime.camera_files.fields import (
 )
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opencv
-from gsgen.runtime.scene.distortion import Distortion
 
 _LENS_KINDS: Final = {
     "perspective": "pinhole",
@@ -107,7 +107,7 @@ def _shot_camera(shot: Fields, lens: Fields, where: str) -> Any:
         fx, fy = (number(lens, name, where) * longer_side for name in names)
         lens_coefficients = coefficients(lens, _LENS_COEFFICIENTS, where)
         values = {"fx": fx, "fy": fy, "kind": _LENS_KINDS[kind]}
-        values["distortion"] = Distortion.of(lens_coefficients)
+        values["distortion"] = distortion_at(where, lens_coefficients)
     else:
         raise _unsupported_lens(kind, (*_LENS_KINDS, *_SPHERICAL_TYPES), where)
     cx, cy = (
@@ -184,7 +184,7 @@ def _view_camera(pose: Fields, lens: Fields, where: str) -> Any:
         width=width,
         height=height,
         kind="fisheye" if "fisheye" in lens else "pinhole",
-        distortion=Distortion.of(values),
+        distortion=distortion_at(where, values),
     )
 
 

@@ -21,6 +21,7 @@ from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
     coefficients,
+    distortion_at,
     matrix,
     number,
     pixel_count,
@@ -29,7 +30,6 @@ from gsgen.runtime.camera_files.fields import (
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.picture_size import picture_size
 from gsgen.runtime.camera_files.poses import view_from_opencv
-from gsgen.runtime.scene.distortion import Distortion
 
 _BUNDLER_FIRST_LINE: Final = b"# Bundle file"
 _CAMERA_NUMBERS: Final = 15  # focal length, two coefficients of distortion, rotation, translation
@@ -92,7 +92,7 @@ def read_bundler(content: bytes, path: Path, size: tuple[int, int] | None = None
         view[:3, :3] = _OPENCV_FROM_OPENGL @ rows[index, 3:12].reshape(3, 3)
         view[:3, 3] = _OPENCV_FROM_OPENGL @ rows[index, 12:]
         middle = {"cx": width / 2, "cy": height / 2, "width": width, "height": height}
-        lens = Distortion.of({"k1": float(rows[index, 1]), "k2": float(rows[index, 2])})
+        lens = distortion_at(where, {"k1": float(rows[index, 1]), "k2": float(rows[index, 2])})
         camera = camera_at(where, view=view, fx=focal, fy=focal, distortion=lens, **middle)
         cameras.append(NamedCamera(names[index], camera))
     notes: tuple[str, ...] = ()
@@ -186,8 +186,9 @@ def _metashape_camera(
         )
         found_coefficients = coefficients(calibration, _METASHAPE_COEFFICIENTS, where)
         values |= {"fx": fx + coefficients(calibration, ["b1"], where).get("b1", 0.0), "fy": fy}
-        values["distortion"] = Distortion.of(
-            {_METASHAPE_COEFFICIENTS[name]: value for name, value in found_coefficients.items()}
+        values["distortion"] = distortion_at(
+            where,
+            {_METASHAPE_COEFFICIENTS[name]: value for name, value in found_coefficients.items()},
         )
         values["kind"] = _SENSOR_KINDS[kind]
     else:

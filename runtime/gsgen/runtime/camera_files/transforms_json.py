@@ -20,6 +20,7 @@ from gsgen.runtime.camera_files.fields import (
     Fields,
     camera_at,
     coefficients,
+    distortion_at,
     matrix,
     number,
     pixel_count,
@@ -140,7 +141,7 @@ def _distortion(fields: Fields, model: str, kind: Kind, where: str) -> Distortio
     has_divisor = any(values.get(name) for name in ("k5", "k6"))
     if kind == "fisheye" and has_divisor:
         raise ConfigInvalid("has a fisheye with k5 or k6, expected k1 to k4", where=where)
-    return Distortion.of(values, is_rational=model == "FULL_OPENCV" or has_divisor)
+    return distortion_at(where, values, is_rational=model == "FULL_OPENCV" or has_divisor)
 
 
 def _matrix_shape(document: Mapping[str, Any]) -> tuple[int, int]:

@@ -30,7 +30,7 @@ _SEARCH_RADII: Final = 1024
 _HALVINGS: Final = 60
 _NEWTON_STEPS: Final = 20
 _BORDER_POINTS: Final = 65  # of each side of an image, whose rays bound those of the image
-_LARGEST_COEFFICIENT: Final = 1e30  # float32 holds it
+_LARGEST_COEFFICIENT: Final = 1e6  # those of calibrations are below a thousand
 
 
 @final
@@ -45,7 +45,7 @@ class Distortion:
         prism: s1 and s2 of a thin prism, which COLMAP calls sx1 and sy1.
 
     Raises:
-        SceneInvalid: A coefficient is not a number up to 1e30, or their number is another one.
+        SceneInvalid: A coefficient is not a number up to 1e6, or their number is another one.
     """
 
     radial: tuple[float, ...] = (0.0,) * _LENGTHS["radial"]
@@ -59,7 +59,7 @@ class Distortion:
             is_valid = isinstance(values, list | tuple) and len(values) == length
             if not is_valid or not all(_is_finite(value) for value in values):
                 raise SceneInvalid(
-                    f"is {values!r}, expected {length} numbers up to 1e30",
+                    f"is {values!r}, expected {length} numbers up to 1e6",
                     where=f"camera.distortion.{name}",
                 )
             object.__setattr__(self, name, tuple(float(value) for value in values))
