@@ -1538,11 +1538,14 @@ yield py.violation(`node ${py.str(name)}`, `${py.str(count)} nodes have this nam
 }
 for ([kind, tensors] of py.iter([["input", subject.graph.inputs], ["output", subject.graph.outputs]])) {
 for (tensor of py.iter(tensors)) {
-if ((!py.bool(!/[\p{C}\p{Zl}\p{Zp}]|(?! )\p{Zs}/u.test(tensor.name)) || (py.contains(tensor.name, " ")))) {
+if (!py.bool(is_plain_name$_safe_text(tensor.name))) {
 yield py.violation(`${py.str(kind)} ${py.str(py.repr(tensor.name))}`, "the name contains a blank", "a name without blanks");
 }
 }
 }
+}
+function is_plain_name$_safe_text(name) {
+return py.and(!/[\p{C}\p{Zl}\p{Zp}]|(?! )\p{Zs}/u.test(name), () => (!py.contains(name, " ")));
 }
 function* outputs_survive_replay$capture(subject) {
   let actual, graph, location, node, producer, tensor;
