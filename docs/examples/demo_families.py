@@ -36,6 +36,7 @@ VIEWS = {
     "still": "--camera orbit:20,35",
     "person": "--camera orbit:-50,6,2.6 --up +y",
     "head": "--camera orbit:-150,5 --up +y --turn 140",
+    "swing": "--camera orbit:-120,8 --turn 72",
 }
 
 
@@ -115,7 +116,7 @@ def make(name: str, folder: Path) -> DemoModel:
     log.write_text("", "utf-8")
     words = demo_of(plugin).write(run)
     # Image models take minutes on a software driver, Gaussians take seconds.
-    level = "behaviour" if works_on_images(plugin) else "live"
+    level = "behaviour" if "image" in plugin.inputs else "live"
     checks = ("--level", level, "--report", str(report_file))
     required(log, "export", name, *words, "-o", str(model), *checks)
     report = json.loads(report_file.read_text("utf-8"))["validation"]
@@ -135,7 +136,7 @@ def make(name: str, folder: Path) -> DemoModel:
 
 def works_on_images(plugin: Plugin) -> bool:
     """Whether the plugin's models process a drawn image, and make no Gaussians."""
-    return "image" in plugin.inputs
+    return "image" in plugin.inputs and demo_of(plugin).pictures is None
 
 
 def frame_time(model: Path) -> float:
@@ -165,6 +166,8 @@ def draw(plugin: Plugin, model: Path, folder: Path, log: Path) -> tuple[Path | N
     if works_on_images(plugin):  # it is shown on a static scene, in half as many frames
         (scene,), count = demo_of(demo_plugins()["static"]).write(folder), FRAMES // 2
     options = ["--frames", str(count), "--background", BACKGROUND, *camera]
+    if demo.pictures is not None:
+        options += ["--image", ",".join(map(str, demo.pictures(folder)))]
     try:
         pictures = frames(scene, options, folder / "frames", log)
         if demo.degrade_image is not None:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
         write_hexplane,
         write_sc_gs,
     )
+    from gsgen.reference_plugins.feed_forward.synthetic_feed_forward import (
+        write_lgm,
+        write_splatter_image,
+    )
     from gsgen.reference_plugins.heads.synthetic_head import write_gaussian_avatar
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
@@ -36,8 +40,8 @@ if TYPE_CHECKING:
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_anygs", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman", "write_gaussian_avatar",
-    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
-    "write_spacetime", "write_stylise", "write_surfels",
+    "write_hexplane", "write_lgm", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
+    "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
 ]  # fmt: skip
 
 # Public name → the module that defines it, or that it is.
@@ -53,6 +57,8 @@ _MODULE_BY_NAME: Final = {
     "write_deformable": "gsgen.reference_plugins.deformation.synthetic_deformations",
     "write_hexplane": "gsgen.reference_plugins.deformation.synthetic_deformations",
     "write_sc_gs": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_lgm": "gsgen.reference_plugins.feed_forward.synthetic_feed_forward",
+    "write_splatter_image": "gsgen.reference_plugins.feed_forward.synthetic_feed_forward",
     "write_gaussian_avatar": "gsgen.reference_plugins.heads.synthetic_head",
     "write_difix": "gsgen.reference_plugins.images.synthetic_difix",
     "write_denoiser": "gsgen.reference_plugins.images.synthetic_images",

@@ -10,6 +10,8 @@ from gsgen.reference_plugins.anchors.cell_checkpoint import read_cells
 from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
 from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
+from gsgen.reference_plugins.feed_forward.lgm_checkpoint import read_lgm
+from gsgen.reference_plugins.feed_forward.splatter_image_checkpoint import read_splatter_image
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
 from gsgen.reference_plugins.octree_anygs.anygs_checkpoint import read_anygs
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
@@ -28,6 +30,7 @@ from gsgen.reference_plugins.synthetic import (
     write_gauhuman,
     write_gaussian_avatar,
     write_hexplane,
+    write_lgm,
     write_lhm,
     write_octree,
     write_r3,
@@ -35,6 +38,7 @@ from gsgen.reference_plugins.synthetic import (
     write_sc_gs,
     write_scaffold,
     write_spacetime,
+    write_splatter_image,
     write_surfels,
 )
 
@@ -57,4 +61,6 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
     "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),
     "r3-avatar": (lambda f: write_r3(f, PERSON), read_r3),
+    "splatter-image": (lambda f: write_splatter_image(f, side=16, width=4), read_splatter_image),
+    "lgm": (lambda f: write_lgm(f, down=(32, 32), up=(32,)), read_lgm),
 }  # fmt: skip

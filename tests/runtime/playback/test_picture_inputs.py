@@ -116,7 +116,9 @@ def test_pictures_without_a_model_that_takes_them_are_refused(pictures: Path, tm
 
 
 def test_a_model_of_pictures_without_pictures_is_refused(source: GeneratorSource):
-    with pytest.raises(ConfigInvalid, match="computed from 2 pictures, and none is given") as error:
+    with pytest.raises(
+        ConfigInvalid, match="computed from 2 pictures, which are not given"
+    ) as error:
         require_pictures([source], [])
     assert "--image 1.png,2.png" in error.value.hint
 

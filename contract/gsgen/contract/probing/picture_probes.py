@@ -1,7 +1,7 @@
 """Test inputs of pictures: synthetic photographs, their cameras, and their intrinsics.
 
-Noise is no picture: networks that were trained on photographs amplify it. These pictures have the
-spectrum of photographs (amplitude falls with frequency) and are computed by a formula.
+Networks that were trained on photographs amplify noise. These pictures have the spectrum of
+photographs (amplitude falls with frequency), and are computed by a formula.
 """
 
 __all__ = ["intrinsics_of_pictures", "synthetic_pictures", "views_of_pictures"]

@@ -1,6 +1,6 @@
 """Records the source and the checksum of a generator model's weights for its manifest."""
 
-__all__ = ["producer_of"]
+__all__ = ["producer_of", "producer_of_weights"]
 
 import hashlib
 from collections.abc import Sequence
@@ -29,8 +29,13 @@ def producer_of(source: str, run: TrainingRun, weights: Sequence[Path] = ()) -> 
         for file in iteration_folder.glob("*")
         if file.suffix in _WEIGHT_SUFFIXES
     ]
+    return producer_of_weights(source, weights or files)
+
+
+def producer_of_weights(source: str, weights: Sequence[Path]) -> Producer:
+    """Return the producer entry of the manifest for the files that hold all weights."""
     digest = hashlib.sha256()
-    for file in sorted(weights or files):
+    for file in sorted(weights):
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):
                 digest.update(block)

@@ -78,7 +78,7 @@ def picture_tracks(
 
 
 def require_pictures(sources: Sequence[Source], tracks: Sequence[Track]) -> None:
-    """Raise if a scene is computed from pictures, and none are given.
+    """Raise if a scene is computed from pictures that are not given.
 
     Raises:
         ConfigInvalid: An input of pictures, or of their cameras without a default, has no value.
@@ -91,7 +91,7 @@ def require_pictures(sources: Sequence[Source], tracks: Sequence[Track]) -> None
                 count = source.shape(spec.name)[0]
                 names = ",".join(f"{number}.png" for number in range(1, min(count, 4) + 1))
                 raise ConfigInvalid(
-                    f"is computed from {_counted(count)}, and none is given",
+                    f"is computed from {_counted(count)}, which are not given",
                     where=source.name,
                     hint=f"Give {_OPTION} {names}",
                 )

@@ -60,15 +60,18 @@ class Demo:
             ``gsgen export``. Import torch inside. Image models take 240 × 240 pixels.
         caption: Says what differs from picture to picture.
         view: Where the camera is: ``orbit`` around a scene, ``recede`` from it, ``still`` before
-            it, before a ``person``, or around a ``head``.
+            it, before a ``person``, around a ``head``, or to both sides of a picture (``swing``).
         degrade_image: For image models, makes the model's input from a drawn picture, both uint8
             [H, W, 3]. The picture itself is the input if this is absent.
+        pictures: For generators of pictures, writes those that Gaussians are computed from into a
+            folder, and returns their paths.
     """
 
     write: Callable[[Path], list[str]]
     caption: str
-    view: Literal["orbit", "recede", "still", "person", "head"] = "orbit"
+    view: Literal["orbit", "recede", "still", "person", "head", "swing"] = "orbit"
     degrade_image: "Callable[[np.ndarray], np.ndarray] | None" = None
+    pictures: Callable[[Path], list[Path]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

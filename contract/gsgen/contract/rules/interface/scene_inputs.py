@@ -52,8 +52,8 @@ def pass_suits_role(subject: InspectedModel) -> Iterator[Violation]:
         pictures in every frame would make it run the network again for the same pictures.
 
     Hint:
-        Declare "pass": "scene" for what stays from frame to frame, such as a condition or a body
-        shape; leave it out elsewhere.
+        Declare "pass": "scene" for inputs that stay from frame to frame, such as a condition or a
+        body shape; leave it out elsewhere.
     """
     kind = subject.manifest.kind if subject.manifest else ""
     for entry in declared_inputs(subject):

@@ -1,0 +1,1 @@
+"""Which plugins compute Gaussians from pictures, in one pass? Splatter Image and LGM."""
