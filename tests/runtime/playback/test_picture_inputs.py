@@ -9,7 +9,8 @@ from PIL import Image
 
 from gsgen.conformance.fixtures.valid.scene_inputs import picture_model, posed_picture_model
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
-from gsgen.runtime.playback.picture_inputs import picture_files, picture_tracks, require_pictures
+from gsgen.runtime.playback.input_tracks import require_pictures
+from gsgen.runtime.playback.picture_inputs import picture_files, picture_tracks
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.source import GeneratorSource, StillFrameSource
 from support.commands import gsgen_here

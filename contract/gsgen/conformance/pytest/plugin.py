@@ -66,7 +66,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     from gsgen.conformance.pytest.session import ConformanceSession
     from gsgen.contract.errors import ConfigInvalid
-    from gsgen.contract.tools.batch import expand_paths
+    from gsgen.contract.validator import expand_paths
 
     try:
         models = [str(path) for path in expand_paths(map(Path, config.getoption("--gsgen")))]

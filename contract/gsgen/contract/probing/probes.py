@@ -23,11 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.probing.picture_probes import (
-    intrinsics_of_pictures,
-    synthetic_pictures,
-    views_of_pictures,
-)
 from gsgen.contract.spec.fields.roles import PICTURE_ROLES, ROLES, STATE_SIZES
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
@@ -209,6 +204,12 @@ def _sample_picture_input(
     rng: "np.random.Generator",
 ) -> Array:
     """Return test pictures, or the cameras of pictures of a size (height, width) in pixels."""
+    from gsgen.contract.probing.picture_probes import (
+        intrinsics_of_pictures,
+        synthetic_pictures,
+        views_of_pictures,
+    )
+
     count = shape[0] if shape else 1
     if spec.role == "image_view" and shape[1:] == (4, 4):
         # Gaussians may stand where these cameras look, so bounds cannot place the cameras.

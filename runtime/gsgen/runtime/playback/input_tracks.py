@@ -1,9 +1,10 @@
 """Parses ``--input`` into input tracks: the values of one model input in each frame."""
 
-__all__ = ["ARRAY_SUFFIXES", "Track", "input_track"]
+__all__ = ["ARRAY_SUFFIXES", "Track", "counted_pictures", "input_track", "require_pictures"]
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -13,10 +14,13 @@ from jaxtyping import Shaped
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.array_files import ArraysUnreadable, read_array_file
+from gsgen.runtime.sources.source import Source
 
 _ACCEPTED_FORMS_HINT: Final = (
     "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
 )
+
+_PICTURE_CAMERA_ROLES: Final = ("image_view", "image_intrinsics")
 
 ARRAY_SUFFIXES: Final = (".npy", ".npz", ".json")
 """Suffixes of files that hold the values of a track."""
@@ -138,3 +142,34 @@ def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarra
             f"the array has {count} non-finite values, expected finite numbers", where=where
         )
     return integers_if_whole(array)
+
+
+def require_pictures(sources: Sequence[Source], tracks: Sequence[Track]) -> None:
+    """Raise if a scene is computed from pictures that are not given.
+
+    Raises:
+        ConfigInvalid: An input of pictures, or of their cameras without a default, has no value.
+    """
+    for source in sources:
+        given = {spec.name for track in tracks for spec in source.named(track.input_name)}
+        missing_inputs = [spec for spec in source.inputs if spec.name not in given]
+        for spec in missing_inputs:
+            if spec.role == "image":
+                count = source.shape(spec.name)[0]
+                names = ",".join(f"{number}.png" for number in range(1, min(count, 4) + 1))
+                raise ConfigInvalid(
+                    f"is computed from {counted_pictures(count)}, which are not given",
+                    where=source.name,
+                    hint=f"Give --image {names}",
+                )
+            if spec.role in _PICTURE_CAMERA_ROLES and spec.default is None:
+                raise ConfigInvalid(
+                    f"has no default for the cameras of its pictures, the input {spec.name!r}",
+                    where=source.name,
+                    hint="Give a file of cameras, such as --image-cameras transforms.json",
+                )
+
+
+def counted_pictures(count: int) -> str:
+    """Return a number of pictures in words."""
+    return "1 picture" if count == 1 else f"{count} pictures"

@@ -1,6 +1,6 @@
 """Reads pictures and their cameras for the inputs of a generator's scene pass."""
 
-__all__ = ["picture_files", "picture_tracks", "require_pictures"]
+__all__ = ["picture_files", "picture_tracks"]
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.camera_files import NamedCamera, open_cameras, split_pick
 from gsgen.runtime.media.fitted_pictures import PictureFit, fit_picture
 from gsgen.runtime.media.pictures import IMAGE_SUFFIXES, require_pillow
-from gsgen.runtime.playback.input_tracks import Track
+from gsgen.runtime.playback.input_tracks import Track, counted_pictures
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.natural_order import natural_key
 from gsgen.runtime.sources.sequence_source import numbered_files
@@ -23,7 +23,6 @@ from gsgen.runtime.sources.source import Source
 
 _OPTION: Final = "--image"
 _CAMERA_OPTION: Final = "--image-cameras"
-_CAMERA_ROLES: Final = ("image_view", "image_intrinsics")
 _MAX_PIXELS: Final = 1 << 26  # of a picture that is read
 _FILES_HINT: Final = "Give FILE,FILE,…, a folder of pictures, or a pattern such as views/%04d.png."
 
@@ -75,32 +74,6 @@ def picture_tracks(
             hint="Leave the option out.",
         )
     return tracks
-
-
-def require_pictures(sources: Sequence[Source], tracks: Sequence[Track]) -> None:
-    """Raise if a scene is computed from pictures that are not given.
-
-    Raises:
-        ConfigInvalid: An input of pictures, or of their cameras without a default, has no value.
-    """
-    for source in sources:
-        given = {spec.name for track in tracks for spec in source.named(track.input_name)}
-        missing_inputs = [spec for spec in source.inputs if spec.name not in given]
-        for spec in missing_inputs:
-            if spec.role == "image":
-                count = source.shape(spec.name)[0]
-                names = ",".join(f"{number}.png" for number in range(1, min(count, 4) + 1))
-                raise ConfigInvalid(
-                    f"is computed from {_counted(count)}, which are not given",
-                    where=source.name,
-                    hint=f"Give {_OPTION} {names}",
-                )
-            if spec.role in _CAMERA_ROLES and spec.default is None:
-                raise ConfigInvalid(
-                    f"has no default for the cameras of its pictures, the input {spec.name!r}",
-                    where=source.name,
-                    hint=f"Give a file of cameras, such as {_CAMERA_OPTION} transforms.json",
-                )
 
 
 def picture_files(texts: Iterable[str]) -> list[Path]:
@@ -167,7 +140,7 @@ def _with_cameras(pictures: Sequence[_Picture], text: str) -> list[_Picture]:
         entries = [camera_by_stem[picture.file.stem] for picture in pictures]
     if len(entries) != len(pictures):
         raise ConfigInvalid(
-            f"has {len(entries)} cameras for {_counted(len(pictures))}, "
+            f"has {len(entries)} cameras for {counted_pictures(len(pictures))}, "
             "and their names are not those of the pictures",
             where=f"{_CAMERA_OPTION} {text}",
             hint="Select the cameras: FILE#NAME for one, FILE#0:4 for the first four.",
@@ -201,7 +174,7 @@ def _tracks_of(source: Source, pictures: Sequence[_Picture]) -> Iterator[Track]:
         size = shape[2], shape[3]
         if len(pictures) != shape[0]:
             raise ConfigInvalid(
-                f"has {_counted(len(pictures))}, expected {shape[0]} for the input {spec.name!r}",
+                f"has {counted_pictures(len(pictures))}, expected {shape[0]} for the input {spec.name!r}",
                 where=_OPTION,
                 hint=_FILES_HINT,
             )
@@ -228,7 +201,3 @@ def _picture_track(spec: Input, size: tuple[int, int], pictures: Sequence[_Pictu
 def _fitted_intrinsics(camera: Camera, size: tuple[int, int]) -> Float64[np.ndarray, "3 3"]:
     fit = PictureFit.of_sizes((camera.height, camera.width), size)
     return fit.intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
-
-
-def _counted(count: int) -> str:
-    return "1 picture" if count == 1 else f"{count} pictures"

@@ -58,8 +58,8 @@ def conformance(
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
     from gsgen.contract.rules.catalogue import installed_rules
-    from gsgen.contract.tools.batch import expand_paths
     from gsgen.contract.validation.settings_from_options import make_settings
+    from gsgen.contract.validator import expand_paths
 
     files = expand_paths(models)
     registry = installed_rules()

@@ -133,7 +133,7 @@ def validate(
     from gsgen.cli.progress import progress
     from gsgen.contract.process.atomic_files import refuse_missing_folder, refuse_model
     from gsgen.contract.rules.catalogue import installed_rules
-    from gsgen.contract.tools.batch import expand_paths, validate_all
+    from gsgen.contract.validator import expand_paths, validate_all
 
     files = expand_paths(paths, is_tileset)
     has_tileset = any(is_tileset(file) for file in files)

@@ -124,7 +124,7 @@ def bake(
     from gsgen.cli.progress import clear, progress
     from gsgen.formats import FileUnwritable, FormatError
     from gsgen.runtime.baking.bake_frames import bake_source
-    from gsgen.runtime.playback.picture_inputs import require_pictures
+    from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.sources.source import GeneratorSource
 
     tracks, view = _tracks(time, inputs), _viewpoint(camera, up)

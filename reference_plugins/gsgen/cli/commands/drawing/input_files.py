@@ -36,13 +36,16 @@ def input_files(
         images: Values of ``--image``.
         image_cameras: The value of ``--image-cameras``.
     """
-    from gsgen.runtime.playback.picture_inputs import picture_files
-    from gsgen.runtime.playback.pose_tracks import named_file
-
     paths = [*scenes, *(post or ()), *_camera_files(camera), *_camera_files(image_cameras)]
-    paths += picture_files(images) if images else []
-    for text in poses or ():
-        paths += _motion_files(named_file(text)[1])
+    if images:
+        from gsgen.runtime.playback.picture_inputs import picture_files
+
+        paths += picture_files(images)
+    if poses:
+        from gsgen.runtime.playback.pose_tracks import named_file
+
+        for text in poses:
+            paths += _motion_files(named_file(text)[1])
     paths += [Path(text.partition("=")[2]) for text in inputs or ()]
     return paths
 

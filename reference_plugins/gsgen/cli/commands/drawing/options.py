@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -338,30 +338,42 @@ def read_tracks(
     Raises:
         ConfigInvalid: A text or a file is invalid, or no source has an input of this name.
     """
-    from gsgen.runtime.playback.input_tracks import input_track
-    from gsgen.runtime.playback.picture_inputs import picture_tracks
-    from gsgen.runtime.playback.playback import frame_rate
-    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
-    from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, sound_track
-
     tracks: list[Track] = []
     pose_fps: float | None = None
-    for text in poses or ():
-        name = named_file(text)[0]
-        source = _source_with_input(name, sources, f"--pose {text}")
-        file_tracks, file_fps = pose_tracks(text, source)
-        tracks, pose_fps = [*tracks, *file_tracks], pose_fps or file_fps
-    for text in inputs or ():
+    if poses:
+        from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
+
+        for text in poses:
+            name = named_file(text)[0]
+            source = _source_with_input(name, sources, f"--pose {text}")
+            file_tracks, file_fps = pose_tracks(text, source)
+            tracks, pose_fps = [*tracks, *file_tracks], pose_fps or file_fps
+    if inputs:
+        tracks += _input_tracks(inputs, sources, fps or pose_fps)
+    if images or image_cameras is not None:
+        from gsgen.runtime.playback.picture_inputs import picture_tracks
+
+        tracks += picture_tracks(images or (), image_cameras, sources)
+    return tracks, pose_fps
+
+
+def _input_tracks(
+    inputs: Iterable[str], sources: "Sequence[Source]", fps: float | None
+) -> "Iterator[Track]":
+    """Read the values of ``--input``; sound for a rate of frames, by default that of the scenes."""
+    from gsgen.runtime.playback.input_tracks import input_track
+    from gsgen.runtime.playback.playback import frame_rate
+    from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, sound_track
+
+    for text in inputs:
         name, _, value = text.partition("=")
         if Path(value).suffix.lower() == SOUND_SUFFIX:
             source = _source_with_input(name, sources, f"--input {text}")
             spec = source.named(name)[0]
-            rate = fps or pose_fps or frame_rate(sources)
-            tracks.append(sound_track(Path(value), spec, source.shape(spec.name), rate))
+            shape = source.shape(spec.name)
+            yield sound_track(Path(value), spec, shape, fps or frame_rate(sources))
         else:
-            tracks.append(input_track(text))
-    tracks += picture_tracks(images or (), image_cameras, sources)
-    return tracks, pose_fps
+            yield input_track(text)
 
 
 def _source_with_input(name: str, sources: "Sequence[Source]", where: str) -> "Source":

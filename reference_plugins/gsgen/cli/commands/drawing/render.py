@@ -126,7 +126,7 @@ def render(
     from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.media.output_formats import require_output_format
     from gsgen.runtime.playback.frame_sequence import FrameSequence
-    from gsgen.runtime.playback.picture_inputs import require_pictures
+    from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 

@@ -113,8 +113,8 @@ def view(
     """
     from gsgen.cli.commands.drawing.opening import open_scenes, training_camera
     from gsgen.formats.shared.origins import parse_origin
+    from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.live_playback import LivePlayback
-    from gsgen.runtime.playback.picture_inputs import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
 

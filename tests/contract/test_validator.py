@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.contract._worker_pool import validate_in_processes
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.tools.worker_pool import validate_in_processes
 from gsgen.contract.validation.report import Entry
 from gsgen.contract.validation.settings import Settings
 
