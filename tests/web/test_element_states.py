@@ -1,8 +1,9 @@
 """The states of `<gsgen-model>`: how it loads, fails and recovers, and what it keeps meanwhile."""
 
 import gzip
+import zlib
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -219,12 +220,64 @@ def test_three_losses_of_the_device_keep_camera_time_and_bytes(page: Any, site: 
     assert site.requests.count("/knot.spz") == 1
 
 
+_LOSSES = {
+    # When the device is lost; the element has a camera of its own, and its model is shown or loaded.
+    "at rest": "lose(element)",
+    "in mid frame": "element.requestFrame(); await frame(); lose(element)",
+    "while a point is picked": "const picking = element.pick(30, 20).catch(() => null); lose(element); await picking",
+    "while a picture is drawn": "const drawing = element.toBlob().catch(() => null); lose(element); await drawing",
+    "while the camera moves": "element.autoRotate = true; await frame(); lose(element); element.autoRotate = false",
+    "out of view": "element.style.marginTop = '9000px'; await pause(200); lose(element); await pause(200); element.style.marginTop = ''",
+    "while it is moved": "document.body.prepend(element); lose(element); document.body.append(element)",
+    "while it is not displayed": "element.hidden = true; await frame(); lose(element); await pause(300); element.hidden = false",
+    "before another model is whole": "element.src = 'other.spz'; lose(element)",
+    "twice": "lose(element); await until(() => element._shown); lose(element)",
+    "and the camera is set before it is back": "lose(element); await until(() => !element._shown); element.orbit = { azimuth: 50 }",
+}  # fmt: skip
+
+
+def test_a_loss_at_any_moment_leaves_the_model_shown(page: Any) -> None:
+    """With the camera of before where the address is the same, and no error is told."""
+    results = page.evaluate(
+        """async (cases) => {
+          const frame = () => new Promise(requestAnimationFrame);
+          const lose = (element) => element._shown.renderer.device.destroy();
+          const results = {};
+          for (const [name, code] of Object.entries(cases)) {
+            const element = made({ src: "knot.spz" });
+            await element.ready;
+            element.orbit = { azimuth: 50, elevation: 10, radius: 6 };
+            element.events.length = 0;
+            const act = new Function("element", "lose", "frame", `return (async () => { ${code} })()`);
+            await act(element, lose, frame);
+            await pause(100);
+            await until(() => element.state === "ready" && element._shown?.camera);
+            const told = element.events.filter((words) => words.startsWith("error"));
+            results[name] = [Math.round(element.orbit.azimuth), Math.round(element.orbit.radius), told];
+            element.remove();
+          }
+          return results;
+        }""",
+        _LOSSES,
+    )
+    kept = {name: result for name, result in results.items() if "another" not in name}
+    for name, (azimuth, radius, told) in kept.items():
+        assert abs(azimuth - 50) <= 5, name
+        assert (radius, told) == (6, []), name
+    assert results["before another model is whole"][2] == []
+
+
 _FRAME_ERRORS = {
     # What breaks a frame, and what mends the next one.
-    "an input": ("shown.model.update = async () => { throw new Error('no') }; shown.isStale = true", "delete shown.model.update; shown.model.update = update"),
-    "the renderer": ("shown.renderer.draw = async () => { throw new Error('no') }", "delete shown.renderer.draw"),
-    "the canvas": ("element._presenter.show = () => { throw new Error('no') }", "delete element._presenter.show"),
-    "a colour": ("element._look = () => { throw new Error('no') }", "delete element._look"),
+    "an input": ("shown.model.update = no; shown.isStale = true", "delete shown.model.update; shown.model.update = update"),
+    "the renderer": ("shown.renderer.draw = no", "delete shown.renderer.draw"),
+    "a plan": ("shown.renderer.host.configure = no; shown.renderer._key = ''", "delete shown.renderer.host.configure"),
+    "a uniform": ("shown.renderer._placed = no", "delete shown.renderer._placed"),
+    "the queue": ("shown.renderer.device.createCommandEncoder = no", "delete shown.renderer.device.createCommandEncoder"),
+    "the camera": ("shown.orbit.camera = no", "delete shown.orbit.camera"),
+    "the canvas": ("element._presenter.show = no", "delete element._presenter.show"),
+    "a colour": ("element._look = no", "delete element._look"),
+    "an annotation": ("element._annotations.place = no", "delete element._annotations.place"),
 }  # fmt: skip
 
 
@@ -237,6 +290,7 @@ def test_an_error_of_a_frame_is_taken_back_by_the_next(page: Any) -> None:
           await element.ready;
           const shown = element._shown;
           const { update } = shown.model;
+          const no = () => { throw new Error("no"); };
           const alert = element.shadowRoot.querySelector("[role=alert]");
           const results = {};
           for (const [name, [breaking, mending]] of Object.entries(cases)) {
@@ -262,38 +316,55 @@ def test_an_error_of_a_frame_is_taken_back_by_the_next(page: Any) -> None:
     assert results == {name: [True, True, "no", events] for name in _FRAME_ERRORS}
 
 
-@pytest.mark.parametrize("is_announced", [True, False])
-def test_progress_behind_compression_stays_within_its_total(
-    page: Any, site: WebSite, is_announced: bool, tmp_path: Path
-) -> None:
-    """Whether the page sees that the answer is packed, or only that it is longer than it was told."""
-    path = tmp_path / "large.ply"
-    path.write_bytes(b"ply\n" + bytes(4_000_000))
-    body = gzip.compress(path.read_bytes())
-    site.contents["/packed.ply"] = body
-    site.headers["/packed.ply"] = {"Content-Encoding": "gzip"}
-    if not is_announced:
-        page.evaluate("""() => {
-          const get = Headers.prototype.has;
-          Headers.prototype.has = function (name) { return name !== "Content-Encoding" && get.call(this, name); };
-        }""")
-    progress = page.evaluate(
-        """async () => {
-          const element = made();
-          const progress = [];
-          element.addEventListener("progress", ({ detail: { loaded, total } }) => progress.push([loaded, total]));
-          const bar = element.shadowRoot.querySelector("[role=progressbar]");
-          const widths = new Set();
-          element.addEventListener("progress", () => widths.add(parseFloat(bar.style.width)));
-          element.src = "packed.ply";
-          await element.ready.catch(() => {});
-          return [progress, [...widths]];
-        }"""
+_ANSWERS = {
+    # Headers of an answer with four million bytes, and whether it is packed.
+    "plain": ({}, lambda body: body),
+    "gzip": ({"Content-Encoding": "gzip"}, gzip.compress),
+    "deflate": ({"Content-Encoding": "deflate"}, zlib.compress),
+    "gzip in capitals": ({"Content-Encoding": "GZIP"}, gzip.compress),
+    "gzip that is hardly smaller": ({"Content-Encoding": "gzip"}, partial(gzip.compress, compresslevel=0)),
+    "gzip, not announced to the page": ({"Content-Encoding": "gzip", "X-Hidden": "1"}, gzip.compress),
+    "deflate, not announced to the page": ({"Content-Encoding": "deflate", "X-Hidden": "1"}, zlib.compress),
+    "an encoding of nothing": ({"Content-Encoding": "identity"}, lambda body: body),
+}  # fmt: skip
+
+
+def test_progress_stays_within_its_total(page: Any, site: WebSite) -> None:
+    """Also where a page cannot see that the answer is packed, as with other origins."""
+    body = b"ply\n" + bytes(4_000_000)
+    for number, (headers, packed) in enumerate(_ANSWERS.values()):
+        site.contents[f"/{number}.ply"] = packed(body)
+        site.headers[f"/{number}.ply"] = headers
+    results = page.evaluate(
+        """async (count) => {
+          for (const name of ["has", "get"]) {
+            const own = Headers.prototype[name];
+            Headers.prototype[name] = function (header) {
+              const isHidden = header === "Content-Encoding" && own.call(this, "X-Hidden");
+              return isHidden ? (name === "has" ? false : null) : own.call(this, header);
+            };
+          }
+          const results = [];
+          for (let number = 0; number < count; number++) {
+            const element = made({ src: `${number}.ply`, loading: "eager" });
+            const bar = element.shadowRoot.querySelector("[role=progressbar]");
+            const progress = [];
+            element.addEventListener("progress", ({ detail: { loaded, total } }) => {
+              progress.push([loaded, total, parseFloat(bar.style.width)]);
+            });
+            await element.ready.catch(() => {});
+            results.push(progress);
+            element.remove();
+          }
+          return results;
+        }""",
+        len(_ANSWERS),
     )
-    assert progress[0]
-    assert progress[0][-1][0] == path.stat().st_size
-    assert all(total == 0 or loaded <= total for loaded, total in progress[0])
-    assert all(width <= 100 for width in progress[1])
+    for name, progress in zip(_ANSWERS, results, strict=True):
+        assert progress[-1][0] == len(body), name
+        assert all(total == 0 or loaded <= total for loaded, total, _ in progress), name
+        assert all(width <= 100 for *_, width in progress), name
+    assert results[0][-1][1] == len(body)
 
 
 def test_media_properties_work_before_and_after_loading(page: Any) -> None:
