@@ -1,6 +1,7 @@
 """The states of `<gsgen-model>`: how it loads, fails and recovers, and what it keeps meanwhile."""
 
 import gzip
+import re
 import zlib
 from collections.abc import Iterator
 from functools import partial
@@ -11,6 +12,7 @@ import pytest
 
 from gsgen.formats import write_spz
 from gsgen.reference_plugins.writing.knot import torus_knot
+from support.commands import ROOT
 from support.web.pages import WebSite
 
 pytestmark = pytest.mark.slow
@@ -518,6 +520,23 @@ def test_the_camera_is_read_set_and_limited(page: Any) -> None:
     assert result["held"] == [0, 30, 6, 0, 1, 0, 20]
     assert result["dragged"][0] in (-30, 30)
     assert result["home"] == [30, 10, 5, 0, 1, 0, 20]
+
+
+def test_the_guides_elements_are_shown(page: Any, site: WebSite, knot: bytes) -> None:
+    guide = (ROOT / "docs/guides/models-in-a-page.md").read_text("utf-8")
+    elements = re.findall(r"```html\n(<gsgen-model.*?)```", guide, re.DOTALL)
+    site.contents["/room.spz"] = site.contents["/room.ply"] = knot  # there is no room.sog
+    shown = page.evaluate(
+        """async (elements) => {
+          document.body.innerHTML = elements.join("");
+          const models = [...document.querySelectorAll("gsgen-model")];
+          await Promise.all(models.map(({ ready }) => ready));
+          return models.map(({ currentSrc, warnings, _annotations }) =>
+            [currentSrc.replace(location.origin, ""), warnings, _annotations._entries.length]);
+        }""",
+        elements,
+    )
+    assert shown == [["/room.ply", [], 0], ["/room.spz", [], 1]]
 
 
 def test_annotations_stand_at_their_points(page: Any) -> None:

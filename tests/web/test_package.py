@@ -1,6 +1,7 @@
 """The browser client as a package of npm: its files, its types, and pages that import it."""
 
 import json
+import re
 import shutil
 import subprocess
 import tomllib
@@ -162,15 +163,25 @@ def test_a_framework_sets_properties_and_hears_events(framework: str, built: tup
     page.wait_for_function("document.querySelector('gsgen-model').orbit.fieldOfView === 30")
 
 
-def test_an_import_map_needs_no_build(installed: Path, models: dict[str, bytes], browser: Any) -> None:  # fmt: skip
+def test_an_import_map_needs_no_build(
+    installed: Path, models: dict[str, bytes], browser: Any
+) -> None:
+    """With ONNX Runtime Web from its own package, by the guide's lines."""
+    guide = (ROOT / "docs/guides/models-in-a-page.md").read_text("utf-8")
+    [lines] = re.findall(r"```js\n(.*?)```", guide, re.DOTALL)
+    imports = {
+        "gsgen": "/node_modules/gsgen/gsgen.js",
+        "onnxruntime-web/webgpu": f"/node_modules/gsgen/ort/{ORT_FILES[1]}",
+    }
     contents = dict(models)
-    contents["/page.html"] = b"""<!doctype html><meta charset=utf-8>
-      <script type=importmap>{"imports": {"gsgen": "/node_modules/gsgen/gsgen.js"}}</script>
-      <script type=module>import { GsgenModel } from "gsgen"; window.Model = GsgenModel;</script>
-      <gsgen-model src=/knot.spz loading=eager></gsgen-model>"""
+    contents["/page.html"] = f"""<!doctype html><meta charset=utf-8>
+      <script type=importmap>{json.dumps({"imports": imports})}</script>
+      <script type=module>{lines}</script>
+      <gsgen-model src=/knot.spz loading=eager></gsgen-model>
+      <gsgen-model src=/walk.onnx loading=eager></gsgen-model>""".encode()
     with serving({"node_modules": installed / "node_modules"}, contents) as address:
         context = browser.new_context(viewport={"width": 400, "height": 300})
         page = context.new_page()
         page.goto(f"{address}/page.html")
-        assert _all_ready(page) == [[]]
+        assert _all_ready(page) == [[], []]
         context.close()
