@@ -20,6 +20,7 @@ from gsgen.contract.spec.manifest import Manifest
 from gsgen.sdk.binding.bound.bound_session import BoundSession, translate_error
 from gsgen.sdk.binding.bound.input_binding import InputBinding
 from gsgen.sdk.binding.bound.model_facts import read_model_facts
+from gsgen.sdk.binding.bound.scene_pass import ScenePassSession
 from gsgen.sdk.binding.bound.warm_up import WarmSession, lock_of, open_warm
 from gsgen.sdk.binding.camera_inputs import Camera, camera_values
 from gsgen.sdk.binding.frame import Frame
@@ -113,7 +114,7 @@ class FrameSession:
         opened_session: WarmSession | ConfinedSession
         if confined:
             opened_session = self._open_confined(confined, is_embedded=manifest is None, **settings)
-            self._bound: BoundSession | ConfinedSession | None = opened_session
+            self._bound: BoundSession | ScenePassSession | ConfinedSession | None = opened_session
         else:
             opened_session = open_warm(sources, **settings)
             self._bound, self._lock = opened_session.bound, lock_of(opened_session.choice)
@@ -343,7 +344,7 @@ class FrameSession:
         state = "closed" if self.closed else "captured" if self.captured else "not captured"
         return f"<FrameSession {self.path.name} on {self.provider}, {state}>"
 
-    def _require_open_session(self) -> "BoundSession | ConfinedSession":
+    def _require_open_session(self) -> "BoundSession | ScenePassSession | ConfinedSession":
         if self._bound is None:
             message = "the session was closed"
             raise SessionClosed(message, where=str(self.path), hint="Open a new FrameSession.")

@@ -12,12 +12,21 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
+import onnx
+
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW
 from gsgen.sdk.binding.bound.bound_session import BoundSession, tensor_specs, translate_error
 from gsgen.sdk.binding.bound.input_binding import InputBinding
 from gsgen.sdk.binding.bound.model_facts import ModelFacts, Tensors
 from gsgen.sdk.binding.bound.replay_check import Outputs, wrong_outputs
+from gsgen.sdk.binding.bound.scene_pass import (
+    ScenePassSession,
+    SplitModel,
+    open_scene_pass,
+    split_model,
+)
 from gsgen.sdk.binding.providers.buffers import HostMemory
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
@@ -39,7 +48,7 @@ class WarmSession:
     """An ONNX Runtime session with bound buffers that has run at least once."""
 
     choice: ProviderChoice  # the chosen provider
-    bound: BoundSession  # the session and its buffers
+    bound: BoundSession | ScenePassSession  # the session and its buffers
     ports: Mapping[str, InputBinding]  # input name → binding
     nodes: tuple[Node, ...]  # the execution provider of each node
     captured: bool  # whether frames are replayed
@@ -143,6 +152,9 @@ def _open_without_capture(
 
 
 def _open_uncached_session(sources: ModelFacts, session_options: SessionOptions) -> WarmSession:
+    split = _passes_of(sources, session_options)
+    if split is not None:
+        return _open_passes(sources, session_options, split)
     session = open_session(sources.path, session_options)
     inputs = [
         sources.input_binding(spec, session_options.sizes)
@@ -168,6 +180,50 @@ def _open_uncached_session(sources: ModelFacts, session_options: SessionOptions)
     )
 
 
+def _passes_of(sources: ModelFacts, session_options: SessionOptions) -> SplitModel | None:
+    """Return the scene pass and the frame pass of a model on the CPU; None where it has one pass."""
+    manifest = sources.manifest
+    if session_options.choice.provider != "cpu" or not isinstance(manifest, GeneratorManifest):
+        return None
+    if len({entry.is_of_scene for entry in manifest.inputs}) < 2:
+        return None
+    return split_model(onnx.load(sources.path, load_external_data=False), manifest)
+
+
+def _open_passes(
+    sources: ModelFacts, session_options: SessionOptions, split: SplitModel
+) -> WarmSession:
+    if session_options.host_memory is not None:
+        session_options.host_memory.clear()
+    ports: dict[str, InputBinding] = {}
+    nodes: list[Node] = []
+
+    def bind(model: bytes) -> BoundSession:
+        session = open_session(model, session_options)
+        nodes.extend(node_placement(session))
+        inputs = [
+            sources.input_binding(spec, session_options.sizes)
+            for spec in tensor_specs(session.get_inputs())
+        ]
+        ports.update({port.name: port for port in inputs if port.name not in split.passed})
+        return BoundSession(
+            session,
+            {port.name: port.shape for port in inputs},
+            {port.name: port.default() for port in inputs},
+            BUFFER_MEMORY[session_options.choice.provider],
+            session_options.stop,
+            session_options.host_memory,
+        )
+
+    return WarmSession(
+        choice=session_options.choice,
+        bound=open_scene_pass(split, bind),
+        ports=ports,
+        nodes=tuple(nodes),
+        captured=True,
+    )
+
+
 def _default_inputs(ports: Mapping[str, InputBinding]) -> Tensors:
     return {name: port.default() for name, port in ports.items()}
 
@@ -188,7 +244,9 @@ def _capture_fault(sources: ModelFacts, warm_session: WarmSession) -> str:
     return "; ".join(f"{replay.output} {replay.actual}" for replay in wrong_replays)
 
 
-def _frames(bound: BoundSession, probes: list[Tensors], *, captured: bool) -> list[Outputs]:
+def _frames(
+    bound: BoundSession | ScenePassSession, probes: list[Tensors], *, captured: bool
+) -> list[Outputs]:
     frames: list[Outputs] = []
     for probe in probes:
         bound.write(probe)
