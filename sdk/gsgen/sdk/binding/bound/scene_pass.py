@@ -21,7 +21,7 @@ from gsgen.sdk.binding.providers.buffers import Buffer, same_bits
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SplitModel:
     """The two passes of a generator's graph.
 
