@@ -250,6 +250,22 @@ def test_natural_misuses_are_told_by_one_sentence(page: Any) -> None:
     assert len([line for line in lines if line.startswith("gsgen-model: ")]) == len(_MISUSES) - 2
 
 
+def test_a_poster_that_cannot_be_shown_is_told(page: Any) -> None:
+    warning = page.evaluate(
+        """async () => {
+          const element = document.createElement("gsgen-model");
+          element.poster = "/no.png";
+          const warned = new Promise((resolve) => element.addEventListener("warning", resolve));
+          document.body.append(element);
+          const { detail } = await warned;
+          element.remove();
+          return detail;
+        }"""
+    )
+    assert warning["where"] == "poster"
+    assert warning["message"].endswith('/no.png" cannot be shown')
+
+
 def test_properties_set_before_the_class_is_defined_are_kept(page: Any) -> None:
     """As frameworks set them that render before their modules are loaded."""
     page.evaluate(

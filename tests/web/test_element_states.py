@@ -570,6 +570,39 @@ def test_annotations_stand_at_their_points(page: Any) -> None:
     assert result["shown"] == [True, False, False]
 
 
+def test_an_element_moves_into_another_document(page: Any) -> None:
+    """With its style, which documents do not share, and its model."""
+    result = page.evaluate(
+        """async () => {
+          const frame = document.createElement("iframe");
+          document.body.append(frame);
+          const element = made({ src: "knot.spz" });
+          await element.ready;
+          frame.contentDocument.body.append(element);
+          await pause(100);
+          const canvas = element.shadowRoot.querySelector("canvas");
+          const position = frame.contentWindow.getComputedStyle(canvas).position;
+          return [element.state, position, Boolean(element._shown)];
+        }"""
+    )
+    assert result == ["ready", "absolute", True]
+
+
+def test_a_picture_of_an_element_out_of_view_loads_it(page: Any) -> None:
+    sizes = page.evaluate(
+        """async () => {
+          const far = made({ src: "knot.spz", style: "position: absolute; top: 9000px" });
+          const { type, size } = await far.toBlob({ width: 20, height: 10 });
+          const none = await made().toBlob().catch(({ message }) => message);
+          far.remove();
+          const removed = await far.toBlob().catch(({ message }) => message);
+          return [type, size > 100, none, removed];
+        }"""
+    )
+    message = "toBlob(): there is no model in this document"
+    assert sizes == ["image/png", True, message, message]
+
+
 _SWIPES = {
     # A finger's way in pixels, and whether the camera turns in place of the page's scrolling.
     "a tap": ((2, 2), False),

@@ -14,4 +14,7 @@ const box: { min: number[]; max: number[] } | null = model.getBoundingBox();
 const shown: GsgenModel = await model.ready;
 const state: "empty" | "loading" | "ready" | "failed" = model.state;
 model.ready.catch((error: GsgenError) => error.hint);
+model.addEventListener("progress", ({ detail }) => detail.loaded / detail.total);
+model.addEventListener("error", ({ detail: { hint } }) => hint.length);
+model.addEventListener("click", (event) => event.type);
 console.log(blob, point, box, shown, state);

@@ -9,3 +9,4 @@ model.pick(1);
 model.toBlob({ size: 3 });
 model.background();
 model.fov = 3;
+model.addEventListener("warning", ({ detail }) => detail.loaded);

@@ -75,6 +75,7 @@ export class GsgenModel extends AttributedElement {
       this.pause();
       this.currentTime = share * this.duration;
     });
+    this._view.poster.addEventListener("error", () => this._complain("poster", `"${this.poster}" cannot be shown`));
     this.addEventListener("dragover", (event) => this.fileDrop && event.preventDefault());
     this.addEventListener("drop", (event) => this._drop(event));
     this._resizes = new ResizeObserver(() => this._requestFrame());
@@ -108,6 +109,11 @@ export class GsgenModel extends AttributedElement {
       this._release();
       this._enter("empty");
     });
+  }
+
+  /** A document takes no style from another one. */
+  adoptedCallback() {
+    this._view.adopt();
   }
 
   attributeChangedCallback(name, before, now) {
@@ -441,9 +447,12 @@ export class GsgenModel extends AttributedElement {
     const [ownWidth, ownHeight] = this._size();
     const given = typeof options === "string" ? { type: options } : options;
     const { width = ownWidth, height = ownHeight, type, quality } = given;
+    if (!this.isConnected || !candidatesOf(this).length) {
+      throw new GsgenError("there is no model in this document", { where: "toBlob()" });
+    }
+    this._loadIfPending();
     await this.ready;
-    const shown = this._shown;
-    if (!shown) throw new GsgenError("there is no model", { where: "toBlob()" });
+    const shown = /** @type {ShownModel} */ (this._shown);
     const most = shown.kernels.device.limits.maxTextureDimension2D;
     if (![width, height].every((side) => Number.isInteger(side) && side >= 1 && side <= most)) {
       throw new GsgenError(`is ${width}×${height}, expected whole numbers from 1 to ${most}`, { where: "toBlob()" });
@@ -465,7 +474,9 @@ export class GsgenModel extends AttributedElement {
     if (!file || !this.fileDrop) return;
     event.preventDefault();
     this.name = file.name;
+    const before = this.src;
     this.src = URL.createObjectURL(file);
+    if (before.startsWith("blob:")) URL.revokeObjectURL(before);
   }
 
   _childrenChanged() {

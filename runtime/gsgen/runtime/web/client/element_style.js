@@ -1,5 +1,7 @@
 /** The style of the element's shadow tree: a constructed sheet, which every content policy allows. */
 
+import { remembered } from "./once.js";
+
 const TEXT = `
 :host { display: block; position: relative; width: 100%; aspect-ratio: 16 / 9; overflow: hidden;
   background: var(--gsgen-background, #000); color: #fff; font: 14px/1.5 system-ui, sans-serif }
@@ -26,14 +28,15 @@ input { flex: 1; accent-color: var(--gsgen-accent, #6cf) }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important } }
 `;
 
-/** @type {CSSStyleSheet | null} */
-let sheet = null;
+/** @type {WeakMap<Document, CSSStyleSheet>} */
+const sheets = new WeakMap();
 
-/** Return the sheet that all elements share. */
-export function elementStyle() {
-  if (!sheet) {
-    sheet = new CSSStyleSheet();
+/** Return the sheet that all elements of a document share. @param {Document} document */
+export function elementStyle(document) {
+  return remembered(sheets, document, () => {
+    const Sheet = /** @type {any} */ (document.defaultView ?? globalThis).CSSStyleSheet;
+    const sheet = new Sheet();
     sheet.replaceSync(TEXT);
-  }
-  return sheet;
+    return sheet;
+  });
 }

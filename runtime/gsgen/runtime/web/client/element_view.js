@@ -17,7 +17,8 @@ function part(tag, name, attributes = {}, ...children) {
 export class ElementView {
   /** @param {ShadowRoot} root */
   constructor(root) {
-    root.adoptedStyleSheets = [elementStyle()];
+    this._root = root;
+    this.adopt();
     this.canvas = part("canvas", "canvas", { role: "img", width: "1", height: "1" });
     this.poster = part("img", "poster", { alt: "", hidden: "" });
     this.annotations = part("div", "annotations", { hidden: "" });
@@ -33,6 +34,11 @@ export class ElementView {
     this.probe = part("span", "probe", { hidden: "" });
     const parts = [this.canvas, this.poster, this.annotations, this._bar, this._player, this._error];
     root.append(...parts, this._status, this.probe);
+  }
+
+  /** Take the style of the document that the element is in. */
+  adopt() {
+    this._root.adoptedStyleSheets = [elementStyle(this._root.ownerDocument)];
   }
 
   describe(alt, isInteractive) {
