@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.contract.file_kinds.names import META_FILE, SPLAT_SUFFIXES, STREAMED_META
 from gsgen.formats import CODECS
 from gsgen.formats.codecs import format_titles
 
@@ -16,8 +17,8 @@ SUFFIXES = {suffix for codec in CODECS for suffix in codec.suffixes}
 TITLES = re.compile(
     rf"\b({'|'.join(sorted((codec.title for codec in CODECS), key=len, reverse=True))})\b"
 )
-# Files of meshes share suffixes with splats, but are another list.
-MESHES = "runtime/gsgen/runtime/sources/mesh_files.py"
+# The contract, which knows no format, lists the suffixes of splats and of meshes in one module.
+CONTRACT_LIST = "contract/gsgen/contract/file_kinds/names.py"
 
 
 def lists_of_formats(source: str) -> Iterator[int]:
@@ -41,10 +42,17 @@ def test_no_other_module_lists_the_splat_formats():
         f"{path.relative_to(ROOT)}:{line}"
         for part in PRODUCT
         for path in sorted((ROOT / part).rglob("*.py"))
-        if "formats" not in path.relative_to(ROOT).parts and str(path) != str(ROOT / MESHES)
+        if "formats" not in path.relative_to(ROOT).parts and path != ROOT / CONTRACT_LIST
         for line in lists_of_formats(path.read_text("utf-8"))
     ]
     assert copies == [], "take them from gsgen.formats.codecs.CODECS"
+
+
+def test_the_suffixes_of_the_contract_are_those_of_splats_alone():
+    holds_other_things = {".glb", ".pt", ".pth", ".ckpt", ".npz", META_FILE, STREAMED_META}
+    assert {f".{suffix.rpartition('.')[2]}" for suffix in SUFFIXES - holds_other_things} == set(
+        SPLAT_SUFFIXES
+    )
 
 
 @pytest.mark.parametrize(

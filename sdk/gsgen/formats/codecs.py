@@ -24,6 +24,7 @@ from typing import BinaryIO, Final, final
 import numpy as np
 from jaxtyping import Int64
 
+from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES
 from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.checkpoints.torch_archive import PICKLE_MEMBER
@@ -38,7 +39,7 @@ from gsgen.formats.ply.write import PlyFrames
 from gsgen.formats.shared.files import FilePath, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
-from gsgen.formats.sog.meta import META_FILE, STREAMED_META, looks_like_meta
+from gsgen.formats.sog.meta import looks_like_meta
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat

@@ -19,13 +19,19 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, final
 
 from gsgen.contract.file_kinds.kind import UNPACK
+from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, kind_of
 from gsgen.formats.codecs import codec_of_suffix, recognise_codec
 from gsgen.formats.shared.bytes import MAX_BYTES, MAX_INFLATION
-from gsgen.formats.shared.errors import ArchiveDamaged, FileUnreadable, NotSupported, SizeExceeded
+from gsgen.formats.shared.errors import (
+    ArchiveDamaged,
+    FileUnreadable,
+    NotSupported,
+    SizeExceeded,
+    quoted,
+)
 from gsgen.formats.shared.files import FileContent, FilePath, naming, open_file, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
-from gsgen.formats.sog.meta import META_FILE, STREAMED_META
 from gsgen.formats.spz.container import GZIP, is_packed
 
 STANDARD_INPUT: Final = "-"
@@ -150,15 +156,25 @@ def _address_of(path: FilePath) -> str:
     return address_of(path)
 
 
-def _fetched_file(address: str) -> FilePath:
-    """Return the file at an address: mapped, or on disk where it names files beside it."""
-    from gsgen.contract.inputs.local_copies import fetch, kept_folder, on_disk
+def _fetched_file(address: str) -> FileContent:
+    """Return the file at an address, and those beside it, mapped from copies that are removed."""
+    from gsgen.contract.inputs.local_copies import on_disk
 
-    if address.partition("?")[0].rpartition("/")[2] in (META_FILE, STREAMED_META):
-        return fetch(address, kept_folder())
-    with on_disk(address) as path, open_file(path) as file:
-        name = address.partition("?")[0]  # the suffix counts
-        return FileContent(name, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    name = address.partition("?")[0]  # the suffix counts
+    with on_disk(address) as path:
+        neighbours = {
+            file.relative_to(path.parent).as_posix(): _mapped(file, name)
+            for file in path.parent.rglob("*")
+            if file.is_file() and file != path
+        }
+        return FileContent(name, _mapped(path, name), neighbours)
+
+
+def _mapped(file: Path, name: str) -> mmap.mmap:
+    if not file.stat().st_size:  # which cannot be mapped
+        raise FileUnreadable(f"the file {quoted(file.name)} is empty", path=name)
+    with file.open("rb") as stream:
+        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def _content_in_memory(name: str, content: bytes | bytearray) -> FileContent:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.file_kinds.kind import CAMERAS, SPLATS, TILESET, FileKind
+from gsgen.contract.file_kinds.names import META_FILE, SPLAT_SUFFIXES, STREAMED_META
 
 # Patterns of paths in a folder → name, title, hint; the first that matches a file counts.
 _FOLDER_KINDS: Final[tuple[tuple[tuple[str, ...], str, str, str], ...]] = (
@@ -29,9 +30,9 @@ _FOLDER_KINDS: Final[tuple[tuple[tuple[str, ...], str, str, str], ...]] = (
         SPLATS,
     ),
     (("tileset.json",), "tileset-folder", "the folder of a tileset", TILESET),
-    (("lod-meta.json", "meta.json"), "sog-folder", "the folder of a SOG", SPLATS),
+    ((STREAMED_META, META_FILE), "sog-folder", "the folder of a SOG", SPLATS),
     (
-        ("*.ply", "*.spz", "*.splat", "*.ksplat", "*.sog"),
+        tuple(f"*{suffix}" for suffix in SPLAT_SUFFIXES),
         "splat-folder",
         "a folder of splat files",
         SPLATS,

@@ -21,6 +21,7 @@ from gsgen.contract.file_kinds.kind import (
     UNPACK,
     FileKind,
 )
+from gsgen.contract.file_kinds.names import META_FILE, SPLAT_SUFFIXES, STREAMED_META
 from gsgen.contract.file_kinds.signatures import kind_by_signature
 from gsgen.contract.file_kinds.text_kinds import SPLAT_EXTENSION, decoded_text, ply_kind, text_kind
 
@@ -32,7 +33,6 @@ _CHECKPOINT_HINT: Final = (
     "`gsgen render` and `gsgen export static` take those of gsplat, nerfstudio and 3DGS, and "
     "`gsgen export` those of the methods that `gsgen plugins` lists."
 )
-_SPLAT_SUFFIXES: Final = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _MAX_NESTING: Final = 2
 _MAX_LISTED_MEMBERS: Final = 4
 
@@ -134,10 +134,10 @@ def archive_kind(names: Sequence[str]) -> FileKind:
         return FileKind(name="npz", title="an NPZ archive of NumPy arrays", hint=SPLATS)
     if "tileset.json" in base_names or "@3dtilesindex1@" in base_names:
         return FileKind(name="3tz", title="an archive of a tileset (3TZ)", hint=TILESET)
-    if "lod-meta.json" in base_names:
+    if STREAMED_META in base_names:
         title = "a ZIP archive of a streamed SOG"
         return FileKind(name="streamed-sog", title=title, hint="Unpack it, and name lod-meta.json.")
-    if "meta.json" in base_names and ".webp" in suffixes:
+    if META_FILE in base_names and ".webp" in suffixes:
         return FileKind(name="sog", title="a SOG file of splats", hint=SPLATS)
     if files and PurePath(files[0]).suffix.lower() in (".usda", ".usdc", ".usd"):
         return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT_SPLATS_HINT)
@@ -150,7 +150,7 @@ def archive_kind(names: Sequence[str]) -> FileKind:
     )
     count = f"{len(files)} files: " if len(files) > _MAX_LISTED_MEMBERS else ""
     title = f"a ZIP archive of {count}{listed_names}" if files else "a ZIP archive without files"
-    has_one_splat_file = sum(name.lower().endswith(_SPLAT_SUFFIXES) for name in files) == 1
+    has_one_splat_file = sum(name.lower().endswith(SPLAT_SUFFIXES) for name in files) == 1
     return FileKind(name="zip", title=title, hint=SPLATS if has_one_splat_file else UNPACK)
 
 

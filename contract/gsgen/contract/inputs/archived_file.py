@@ -10,11 +10,12 @@ from typing import Final
 
 from gsgen.contract.errors import InputUnreadable
 from gsgen.contract.file_kinds.kind import DOWNLOAD_AGAIN_HINT
+from gsgen.contract.file_kinds.names import MESH_SUFFIXES
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of, kind_of_file
 from gsgen.contract.inputs.addresses import is_plain_location
 
 _UNPACKED_KINDS: Final = ("onnx", "glb", "gltf", "obj", "stl", "ply-mesh")
-_UNPACKED_SUFFIXES: Final = (".onnx", ".obj", ".stl", ".glb", ".gltf", ".ply")
+_UNPACKED_SUFFIXES: Final = (".onnx", *MESH_SUFFIXES)
 _MAX_UNPACKED_BYTES: Final = 4 << 30
 _MAX_MEMBERS: Final = 4096
 _CHUNK_BYTES: Final = 1 << 20

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.file_kinds.names import MESH_SUFFIXES
 from gsgen.contract.file_kinds.recognition import kind_of_file
 from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
 from gsgen.formats.glb.splats import READABLE_EXTENSIONS
@@ -28,9 +29,6 @@ from gsgen.runtime.scene.mesh import Mesh, MeshData
 
 if TYPE_CHECKING:
     import trimesh
-
-SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
-"""Suffixes of files that may hold meshes."""
 
 # Kinds of text that an OBJ or STL file may look like.
 _MESH_KINDS: Final = ("obj", "stl", "text", "numbers", "zeros")
@@ -153,7 +151,7 @@ def _mesh_kind(path: Path) -> str:
         raise SceneUnreadable(f"cannot be opened: {error}", where=str(path)) from error
     kind_by_magic = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
     kind = kind_by_magic.get(header, path.suffix.lower().removeprefix("."))
-    if f".{kind}" not in SUFFIXES or (kind in ("glb", "ply") and header not in kind_by_magic):
+    if f".{kind}" not in MESH_SUFFIXES or (kind in ("glb", "ply") and header not in kind_by_magic):
         raise SceneUnreadable(
             f"begins with the bytes {header.hex(' ') or '(none)'}, expected a mesh",
             where=str(path),

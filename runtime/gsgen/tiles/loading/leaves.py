@@ -28,7 +28,6 @@ from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import decode_content
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
-from gsgen.tiles.loading.downloads import names_one_file, read_download
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -102,8 +101,6 @@ def read_leaves(
 ) -> Splats | PointCloud | PackedRows:
     """Return the splats of all leaf tiles of a tileset as one set, in the root tile's frame.
 
-    The address of one file of splats, such as a PLY, gives the content of this file.
-
     Where the root frame is so large that float32 would lose millimetres, positions are
     relative to the middle of the splats. Origins are those of the scene that the tileset was built
     from, where its metadata declares one; a ``FormatWarning`` reports them. A given ``origin`` takes
@@ -113,8 +110,6 @@ def read_leaves(
         TilesetInvalid: A file is missing or wrong, or there are no splats.
         StoreUnavailable: The store cannot be read now.
     """
-    if names_one_file(source):
-        return with_origin(read_download(source), origin, source)
     store, index = open_store(os.fspath(source))
     with store:
         tileset = load_tileset(store, index, name=str(source))

@@ -39,7 +39,7 @@ from gsgen.formats.shared.errors import (
     ValueInvalid,
     quoted,
 )
-from gsgen.formats.shared.files import FilePath, naming, open_file, replace_file
+from gsgen.formats.shared.files import FilePath, file_beside, naming, open_file, replace_file
 from gsgen.formats.shared.notices import MeshWarning, warn_unused
 from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.quantities import sigmoid, unit
@@ -112,7 +112,7 @@ def _parse_any(data: Data, path: FilePath, max_bytes: int) -> Container:
         file = folder / name
         if not file.resolve().is_relative_to(folder.resolve()):
             raise HeaderMalformed(quoted(name), where="uri", expected="a file in its folder")
-        with open_file(file) as stream:
+        with open_file(file_beside(path, name)) as stream:
             return stream.read(size)
 
     return parse_gltf(bytes(data), fetch, max_bytes)

@@ -3,16 +3,16 @@
 import mmap
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
 
 from gsgen.contract.process.atomic_files import is_device, write_fault
 from gsgen.contract.process.drafts import temporary_folder
-from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatError
+from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatError, quoted
 
 FilePath = str | os.PathLike[str]
 """The types of path arguments."""
@@ -23,14 +23,18 @@ FilePath = str | os.PathLike[str]
 class FileContent(os.PathLike[str]):
     """The content of a file without a path, such as a member of an archive, for readers of files.
 
+    Errors and warnings name it by its address, never by the path of a temporary copy.
+
     Attributes:
         name: The name in error messages, whose suffix counts: that of the archive, and the member,
             or an address.
         data: The bytes, in anonymous memory or of a file that was removed.
+        neighbours: Relative path → the bytes of a file beside it.
     """
 
     name: str
     data: mmap.mmap
+    neighbours: Mapping[str, mmap.mmap] = field(default_factory=dict)
 
     def __fspath__(self) -> str:
         return self.name
@@ -80,6 +84,19 @@ def map_file(path: FilePath) -> Iterator[mmap.mmap]:
             # closed when the array is freed.
             with suppress(BufferError):
                 data.close()
+
+
+def file_beside(path: FilePath, name: str) -> FilePath:
+    """Return the file that another one names by a relative path.
+
+    Raises:
+        FileUnreadable: The file came from an address, and this one did not come with it.
+    """
+    if not isinstance(path, FileContent):
+        return Path(path).parent / name
+    if name not in path.neighbours:
+        raise FileUnreadable(f"there is no file {quoted(name)} beside it", path=path.name)
+    return FileContent(f"{path.name.rpartition('/')[0]}/{name}", path.neighbours[name])
 
 
 @contextmanager

@@ -9,16 +9,13 @@ from typing import Any, Final, NoReturn, final
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
 from gsgen.contract.file_kinds.recognition import kind_of
 from gsgen.formats.shared.bytes import MAX_SPLATS, not_recognised
 from gsgen.formats.shared.errors import FormatNotRecognised, HeaderMalformed, NotSupported, quoted
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.splats import SH_COUNTS
 
-META_FILE: Final = "meta.json"
-"""The file that describes the images."""
-STREAMED_META: Final = "lod-meta.json"
-"""The file that lists the SOG files of several levels of detail."""
 ANTIALIASED: Final = "antialiased"
 """The ``model`` of splats that were trained with the filter of Mip-Splatting."""
 PALETTE_WIDTH: Final = 64

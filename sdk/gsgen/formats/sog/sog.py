@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
+from gsgen.contract.file_kinds.names import META_FILE
+from gsgen.contract.inputs.addresses import is_plain_location
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import (
     FileTruncated,
@@ -20,7 +22,7 @@ from gsgen.formats.shared.errors import (
     SizeExceeded,
     quoted,
 )
-from gsgen.formats.shared.files import FilePath, naming, open_file, stream_size
+from gsgen.formats.shared.files import FilePath, file_beside, naming, open_file, stream_size
 from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import logit, quaternions_from_largest, unit
@@ -29,7 +31,6 @@ from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, image_size, most_pixels
 from gsgen.formats.sog.meta import (
     MAX_PALETTE_SIZE,
-    META_FILE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
     Meta,
@@ -155,14 +156,15 @@ def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
 
 
 def _fetch_from_folder(path: FilePath) -> FetchFile:
-    folder = Path(path).parent
+    own_name = Path(path).name
 
     def fetch(name: str, limit: int) -> bytes:
-        if Path(name).name != name:
+        if Path(name).name != name or not is_plain_location(name):
             raise HeaderMalformed(
                 quoted(name), where=META_FILE, expected="the name of a file in the same folder"
             )
-        with open_file(folder / name) as file:
+        file_path = path if name == own_name else file_beside(path, name)
+        with open_file(file_path) as file:
             most = min(limit, stream_size(file))
             return _require_size_limit(file.read(most + 1), most, name)
 

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from gsgen.contract.file_kinds.names import STREAMED_META
 from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, quoted
 from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.sog.meta import STREAMED_META
 
 STREAMED_KEYS: Final = frozenset(
     {

@@ -16,12 +16,12 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import UInt64
 
+from gsgen.contract.file_kinds.names import META_FILE
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.formats.shared.files import FilePath, make_folder, replace_file
 from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.sog.meta import META_FILE
 
 _TOP_BIT: Final = 47  # of a Morton code of three 16-bit numbers
 _SPLAT_RATIO_OF_LEVELS: Final = 4  # splats of a level for each splat of the next one

@@ -11,6 +11,7 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8, UInt16, UInt32
 
+from gsgen.contract.file_kinds.names import META_FILE
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.morton import grid_codes, grid_order
@@ -22,7 +23,6 @@ from gsgen.formats.sog.image import encode_image
 from gsgen.formats.sog.meta import (
     ANTIALIASED,
     MAX_PALETTE_SIZE,
-    META_FILE,
     PALETTE_WIDTH,
     QUATERNION_TAG,
     is_meta,
