@@ -98,6 +98,18 @@ def _translate_vector_norm(
     return aten_linalg_vector_norm(values, ord, dim, keepdim, dtype)
 
 
+def _translate_select_scatter(target: Any, source: Any, dim: int, index: int) -> Any:
+    """Translate ``x[:, 0] = y`` to a choice by a constant mask; torch's own scatters each element."""
+    rank = len(target.shape)
+    axis, size = dim % rank, target.shape[dim]
+    is_written = [int(position == index % size) for position in range(size)]
+    shape = [size if position == axis else 1 for position in range(rank)]
+    flags = _OPSET18.Cast(_OPSET18.Constant(value_ints=is_written), to=TensorProto.BOOL)
+    mask = _OPSET18.Reshape(flags, _OPSET18.Constant(value_ints=shape))
+    values = _OPSET18.Unsqueeze(source, _OPSET18.Constant(value_ints=[axis]))
+    return _OPSET18.Where(mask, _OPSET18.CastLike(values, target), target)
+
+
 def _translate_scatter_reduce(
     target: Any, dim: int, index: Any, source: Any, reduce: str, include_self: bool = True
 ) -> Any:
@@ -143,6 +155,7 @@ OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
     torch.ops.aten.any.dims: _translate_truth("ReduceMax"),
     torch.ops.aten.all.dims: _translate_truth("ReduceMin"),
     torch.ops.aten.linalg_vector_norm.default: _translate_vector_norm,
+    torch.ops.aten.select_scatter.default: _translate_select_scatter,
     torch.ops.aten.scatter_reduce.two: _translate_scatter_reduce,
     torch.ops.aten.index_reduce.default: _translate_index_reduce,
 }
