@@ -24,6 +24,7 @@ from gsgen.runtime.sources.placed_source import PlacedSource, local_camera
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene, read_scene
 from support.commands import gsgen_here
 from support.rendering.splat_scenes import camera, cloud, turned
+from support.scene_documents import WRONG, A
 
 SMALL_SIZE_ARGS = ("--width", "48", "--height", "32")
 
@@ -185,58 +186,6 @@ def test_render_command_exit_codes_for_scene_files(
         pass
     assert unreadable.value.exit_code == missing_scene.value.exit_code == 4
     assert "models[0].path: " in capsys.readouterr().err
-
-
-A = {"path": "a.npz"}
-WRONG = {
-    "empty": ({}, "the scene file has neither models nor meshes"),
-    "version": ({"gsgen_scene": "2.0", "models": [A]}, r"gsgen_scene: is '2.0', expected 1.0"),
-    "unknown": ({"models": [A], "mesh": []}, "unknown field 'mesh'\n.*'meshes'"),
-    "nearest": (
-        {"models": [A | {"opacty_scale": 1}]},
-        r"models\[0\]: unknown field 'opacty_scale'\n.*'opacity_scale'",
-    ),
-    "no_path": ({"models": [{}]}, r"models\[0\]\.path: is missing, expected text"),
-    "no_list": ({"models": A}, r"models: is .* expected a list"),
-    "no_model": ({"models": [3]}, r"models\[0\]: is 3, expected an object or a path"),
-    "opacity": (
-        {"models": [A | {"opacity_scale": -1}]},
-        r"opacity_scale: is -1, expected a finite number from 0",
-    ),
-    "text": ({"models": [A | {"opacity_scale": "1"}]}, "is '1', expected a number"),
-    "nan": ({"models": [A | {"opacity_scale": float("nan")}]}, "is nan, expected a finite"),
-    "degree": ({"models": [A | {"sh_degree": 4}]}, "expected a whole number from 0 to 3"),
-    "word": (
-        {"models": [A | {"antialias": "mipp"}]},
-        r"models\[0\]\.antialias: unknown word 'mipp'\n.*'mip'",
-    ),
-    "both": (
-        {"models": [A | {"transform": np.eye(4).tolist(), "scale": 2}]},
-        "scale: excludes `transform`",
-    ),
-    "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: the matrix is singular"),
-    "shape": ({"models": [A | {"transform": [1, 2]}]}, "expected 4×4 numbers"),
-    "ragged": ({"models": [A | {"transform": [[1], [2, 3]]}]}, "expected 4×4 numbers"),
-    "huge": ({"models": [A | {"translate": [1, 2, 1e300]}]}, "numbers that are finite"),
-    "rotate": ({"models": [A | {"rotate": [0, 0, 0, 0]}]}, "expected one with a length"),
-    "axis": ({"models": [A | {"rotate": {"axis": [0, 0, 1]}}]}, 'expected {"axis"'),
-    "turn": (
-        {"models": [A | {"rotate": {"axes": [0, 0, 1], "degrees": 2}}]},
-        r"rotate: unknown field 'axes'\n.*'axis'",
-    ),
-    "clip": ({"models": [A | {"clip": {"low": [1, 1, 1], "high": [0, 0, 0]}}]}, "with low <= high"),
-    "inputs": ({"models": [A | {"inputs": {"time": "now"}}]}, r"inputs\.time: is 'now'"),
-    "shading": (
-        {"meshes": [A | {"shading": "phong"}]},
-        r"meshes\[0\]\.shading: unknown word 'phong'",
-    ),
-    "background": ({"models": [A], "background": "puce"}, "background: 'puce' is not a colour"),
-    "numbers": ({"models": [A], "background": [1, 2, 3]}, "background: '1,2,3' is not a colour"),
-    "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
-    "width": ({"models": [A], "width": 0}, "width: is 0, expected a whole number from 1"),
-    "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, expected more than 0"),
-    "up": ({"models": [A], "up": "y"}, "up: unknown word 'y'"),
-}
 
 
 @pytest.mark.parametrize("name", WRONG)

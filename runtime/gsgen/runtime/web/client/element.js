@@ -148,7 +148,7 @@ export class GsgenModel extends AttributedElement {
 
   /** Whether nothing remains to be loaded. */
   get complete() {
-    return !candidatesOf(this).length || this._state === "ready" || this._state === "failed";
+    return !this._candidates().length || this._state === "ready" || this._state === "failed";
   }
 
   /** The address that is shown: that of `src`, or of a `<source>`. */
@@ -280,6 +280,7 @@ export class GsgenModel extends AttributedElement {
     this._view.showTime(playback);
     if (!playback) return;
     if (shown) shown.isStale = true;
+    shown?.followTime();
     this._tell("timeupdate", { currentTime: playback.currentTime });
     if (playback.paused !== this._wasPaused) {
       this._wasPaused = playback.paused;
@@ -377,15 +378,18 @@ export class GsgenModel extends AttributedElement {
     this._moved();
   }
 
-  /** Return the camera of the attributes. */
-  _firstOrbit({ extent, up }) {
+  /** Return the camera of the attributes, or of a scene. @param {import("./model.js").Model} model */
+  _firstOrbit({ extent, up, camera = {} }) {
     const [azimuth, elevation, radius] = this._valueOf("camera-orbit").map((part) => part ?? undefined);
-    const given = this._valueOf("camera-target");
-    const target = given.length === 3 ? given.map((part, axis) => part ?? extent.center[axis]) : undefined;
+    const point = this._valueOf("camera-target");
+    const target = point.length === 3 ? point.map((part, axis) => part ?? extent.center[axis]) : undefined;
     const limits = ["min-camera-orbit", "max-camera-orbit"].map((name) => this._valueOf(name));
     const [, sign, letter] = /^([+-]?)([xyz])$/.exec(this.up) ?? [];
     const axis = letter ? ["x", "y", "z"].map((name) => Number(name === letter && `${sign}1`)) : up;
-    return new OrbitCamera(extent, axis, { azimuth, elevation, radius, target, fieldOfView: this.fieldOfView, limits });
+    const own = { azimuth, elevation, radius, target };
+    const place = Object.values(own).some((part) => part !== undefined) ? own : camera;
+    const given = this.hasAttribute("field-of-view") ? undefined : camera.fieldOfView;
+    return new OrbitCamera(extent, axis, { ...place, fieldOfView: given ?? this.fieldOfView, limits });
   }
 
   _describe() {
@@ -462,6 +466,11 @@ export class GsgenModel extends AttributedElement {
 
   // ----- Loading
 
+  /** Return what may be shown, the best first. */
+  _candidates() {
+    return candidatesOf(this);
+  }
+
   _see(isVisible) {
     this._isVisible = isVisible;
     if (isVisible) this._loadIfPending();
@@ -480,7 +489,7 @@ export class GsgenModel extends AttributedElement {
   }
 
   _childrenChanged() {
-    const sources = candidatesOf(this).map(({ source }) => source);
+    const sources = this._candidates().map(({ source }) => source);
     const isLonger = this._state === "failed" && sources.length > this._tried.length;
     if (sources[0] !== this._tried[0] || isLonger) this._sourceChanged();
     this._requestFrame();
@@ -491,7 +500,7 @@ export class GsgenModel extends AttributedElement {
     this._kept = null;
     this._loading.abort();
     if (this._ready.isSettled) this._renewReady();
-    if (candidatesOf(this).length) {
+    if (this._candidates().length) {
       if (this._isVisible || this._shown || this.loading === "eager") this._loadIfPending();
       return;
     }
@@ -521,7 +530,7 @@ export class GsgenModel extends AttributedElement {
   }
 
   async _load() {
-    const candidates = candidatesOf(this);
+    const candidates = this._candidates();
     this._loading.abort();
     const { signal } = (this._loading = new AbortController());
     this._tried = candidates.map(({ source }) => source);
@@ -566,6 +575,8 @@ export class GsgenModel extends AttributedElement {
       maxError: this.maxError ?? undefined,
       maxSplats: this.maxSplats ?? undefined,
       onChange: () => this._requestFrame(),
+      signal,
+      onWarning: (where, problem) => this._complain(where, problem),
       onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
     });
     const shown = new ShownModel(kernels, model, pipeline, file, () => this._requestFrame());
@@ -573,7 +584,7 @@ export class GsgenModel extends AttributedElement {
     this._prepare(shown);
     const [width, height] = this._size();
     // The last picture stays until this one is drawn.
-    const failure = width && height ? await shown.draw(width, height, this._look()).then(() => null, (error) => error) : null;
+    const failure = width && height ? await shown.draw(width, height, this._look(shown)).then(() => null, (error) => error) : null;
     if (failure) await pause(LOSS_DELAY);
     if (signal.aborted) return shown.destroy();
     this._shown?.destroy();
@@ -597,8 +608,10 @@ export class GsgenModel extends AttributedElement {
       return;
     }
     shown.orbit = this._firstOrbit(shown.model);
-    if (this._wish.orbit) shown.orbit.move(this._wish.orbit);
+    const { orbit } = this._wish;
     if (shown.playback) this._startTime(shown.playback);
+    shown.followTime();
+    if (orbit) shown.orbit.move(orbit);
     this._wish = {};
   }
 
@@ -636,9 +649,9 @@ export class GsgenModel extends AttributedElement {
   }
 
   /** @returns {import("./shown_model.js").Look} */
-  _look() {
+  _look(shown = this._shown) {
     const color = this._valueOf("background");
-    const background = color ? computedColor(this._view.probe, color) : [0, 0, 0, 1];
+    const background = color ? computedColor(this._view.probe, color) : (shown?.model.background ?? [0, 0, 0, 1]);
     return { mode: this.mode, background, inputs: this._inputs };
   }
 

@@ -46,12 +46,10 @@ export function solve(a, b) {
 }
 
 /**
- * Return the stretch of a 3×3 matrix A = Q S (polar decomposition), over its largest eigenvalue.
- *
- * S² = AᵀA; its eigenvectors are found by Jacobi rotations.
- * @returns {Matrix}
+ * Return the axes along which a 3×3 matrix A stretches, as columns, and by how much: the square roots
+ * of the eigenvalues of AᵀA, which Jacobi rotations find.
  */
-export function relativeStretch(a) {
+function stretchesOf(a) {
   const square = product(transposed(a), a);
   let vectors = [1, 0, 0, 0, 1, 0, 0, 0, 1];
   for (let sweep = 0; sweep < 30; sweep++) {
@@ -70,10 +68,27 @@ export function relativeStretch(a) {
       vectors = product(vectors, turn);
     }
   }
-  const lengths = [0, 4, 8].map((i) => Math.sqrt(Math.max(square[i], 0)));
+  return { vectors, lengths: [0, 4, 8].map((i) => Math.sqrt(Math.max(square[i], 0))) };
+}
+
+/**
+ * Return the stretch S of a 3×3 matrix A = Q S (polar decomposition), over its largest eigenvalue.
+ * @returns {Matrix}
+ */
+export function relativeStretch(a) {
+  const { vectors, lengths } = stretchesOf(a);
   const largest = Math.max(...lengths);
   const [x, y, z] = lengths.map((length) => length / largest);
   return product(product(vectors, [x, 0, 0, 0, y, 0, 0, 0, z]), transposed(vectors));
+}
+
+/** Return the rotation nearest to an invertible 3×3 matrix: Q of A = Q S, which mirrors nothing. */
+export function nearestRotation(a) {
+  const { vectors, lengths } = stretchesOf(a);
+  const isMirror = dot(a.slice(0, 3), cross(a.slice(3, 6), a.slice(6))) < 0;
+  const least = lengths.indexOf(Math.min(...lengths));
+  const [x, y, z] = lengths.map((length, i) => (isMirror && i === least ? -1 : 1) / length);
+  return product(product(product(a, vectors), [x, 0, 0, 0, y, 0, 0, 0, z]), transposed(vectors));
 }
 
 export function dot(a, b) {

@@ -23,6 +23,9 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @property {() => void} destroy
  * @property {any} [manifest] Of generators, with the findings of rules.
  * @property {any[]} [findings]
+ * @property {number[] | null} [background] Of scenes: red, green, blue and alpha.
+ * @property {Partial<import("./orbit_camera.js").Orbit> & {view?: number[]}} [camera] Of scenes: the first one.
+ * @property {(seconds: number) => any} [cameraAt] Of scenes: the orbit at a time; null without one.
  */
 
 /**
@@ -66,6 +69,9 @@ function stillModel({ device, plans }, splats) {
   return { buffers, sets, extent, up: [0, -1, 0], ...still };
 }
 
+/** Return whether a JSON object is a scene file, and no tileset. */
+const isScene = (document) => ["gsgen_scene", "models", "meshes"].some((name) => name in document);
+
 /**
  * @typedef {object} Options How tilesets are streamed, and generators checked.
  * @property {string} [source] Address of the tileset, to which those of its tiles are relative.
@@ -74,6 +80,8 @@ function stillModel({ device, plans }, splats) {
  * @property {string} [target] Whose limits and quirks rules of generators check.
  * @property {() => void} onChange Called when tiles have arrived.
  * @property {(error: import("./errors.js").GsgenError) => void} onError
+ * @property {(where: string, problem: string) => void} [onWarning] Told what a page does not draw.
+ * @property {AbortSignal} [signal] Ends downloads.
  */
 
 /**
@@ -88,10 +96,14 @@ export async function openModel(kernels, data, name, options = { onChange() {}, 
     const { GeneratorModel } = await import("./generator.js");
     return GeneratorModel.open(kernels, data, name, options);
   }
-  const tileset = parsedJson(data);
-  if (tileset) {
+  const document = parsedJson(data);
+  if (document && isScene(document)) {
+    const { Stage } = await import("./stage.js");
+    return Stage.open(kernels, document, name, options);
+  }
+  if (document) {
     const { TilesetModel } = await import("./tileset.js");
-    return new TilesetModel(kernels, tileset, name, options);
+    return new TilesetModel(kernels, document, name, options);
   }
   return stillModel(kernels, await readSplats(data, name));
 }

@@ -28,7 +28,7 @@ export class OrbitCamera {
   /**
    * @param {{center: number[], reach: number}} extent Centre and half diagonal of the scene.
    * @param {readonly number[]} up
-   * @param {Partial<Orbit> & {limits?: (number | null)[][]}} [home] What is absent shows the whole
+   * @param {Partial<Orbit> & {view?: number[], limits?: (number | null)[][]}} [home] What is absent shows the whole
    *     scene. `limits` are the least and most azimuth, elevation and radius.
    */
   constructor(extent, up, { fieldOfView = 50, limits = [], ...home } = {}) {
@@ -43,11 +43,12 @@ export class OrbitCamera {
 
   /** Return to the first position and direction. */
   reset() {
-    const { azimuth = 30, elevation = 20, radius = null, target = this.extent.center } = this.home;
+    const { azimuth = 30, elevation = 20, radius = null, target = this.extent.center, view } = this.home;
     this.pivot = [...target];
     this._fitted = radius === null;
     this.distance = radius ?? this.extent.reach;
     this._turnTo(azimuth, elevation);
+    if (view) this.move({ view });
     this._limit();
   }
 
@@ -62,7 +63,7 @@ export class OrbitCamera {
   move({ azimuth, elevation, radius, target, fieldOfView, view }) {
     if (view) {
       this.turn = linearPart([...view]);
-      this._fitted = false;
+      [this.distance, this._fitted] = [radius ?? this.distance, false];
       this.pivot = plus(eyeOf(/** @type {any} */ ({ view })), this.distance, this.turn.slice(6));
     }
     const angles = this._angles();

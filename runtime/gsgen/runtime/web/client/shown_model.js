@@ -51,6 +51,12 @@ export class ShownModel {
     this._inTurn = inTurns(); // frames, and pictures between them
   }
 
+  /** Take the camera of the present time, where a timeline has cameras. */
+  followTime() {
+    const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
+    if (place) this.orbit.move(place);
+  }
+
   /** Draw a frame of the camera into GPU memory. @param {Look} look */
   async draw(width, height, look) {
     return this._inTurn(() => this._drawWith(this.renderer, this.orbit.camera(width, height), look));

@@ -30,11 +30,10 @@ export function candidatesOf(host) {
 
 /** The bytes of an address. */
 export class SourceFile {
-  /** @param {string} address */
-  constructor(address) {
+  /** @param {string} address @param {Blob | null} [blob] The bytes, if they are known. */
+  constructor(address, blob = null) {
     this.address = address;
-    /** @type {Blob | null} */
-    this._blob = null;
+    this._blob = blob;
     /** @type {Promise<Blob> | null} */
     this._loading = null;
     this._stop = () => {};
@@ -84,8 +83,9 @@ export class SourceFile {
 /** @type {Map<string, WeakRef<SourceFile>>} */
 const files = new Map();
 
-/** Return the file of an address, which is the same for all elements. */
+/** Return the file of an address, which is the same for all elements, or of a JSON object's text. */
 export function sourceFile(source) {
+  if (source.startsWith("{")) return new SourceFile(document.baseURI, new Blob([source]));
   const isInlined = source.startsWith("#");
   if (!isInlined && !URL.canParse(source, document.baseURI)) failing(source)("is no address");
   const address = isInlined ? source : new URL(source, document.baseURI).href;

@@ -1,0 +1,215 @@
+/**
+ * Stages: several models with their places in one world, drawn together, with a timeline.
+ *
+ * A stage is a model as far as an element can tell; all Gaussians of its models are sorted as one.
+ */
+
+import { GsgenError } from "./errors.js";
+import { isKeyed, valueAt } from "./key_frames.js";
+import { composed, dot, cross, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
+import { eyeOf, viewOf } from "./camera.js";
+import { openModel } from "./model.js";
+import { orbitOf, readScene } from "./scene_file.js";
+import { sourceFile } from "./source_files.js";
+import { nearestWord } from "./words.js";
+
+const CLOCK = Symbol("seconds"); // the name of a stage's time, which no input of a model has
+
+/** Return the geometric mean of the scales along the axes of a transform. */
+function meanScale(transform) {
+  const [a, b, c] = [0, 3, 6].map((first) => linearPart(transform).slice(first, first + 3));
+  return Math.cbrt(Math.abs(dot(a, cross(b, c))));
+}
+
+/** Return a camera as a placed model sees it. A camera neither shears nor mirrors. */
+function localCamera(camera, transform) {
+  const linear = linearPart(transform);
+  const turn = nearestRotation(linear);
+  const rotated = [0, 3, 6].flatMap((row) => times(transposed(turn), linearPart(camera.view).slice(row, row + 3)));
+  const offset = eyeOf(camera).map((part, axis) => part - transform[4 * axis + 3]);
+  const scale = meanScale(transform);
+  const zoom = camera.kind === "orthographic" ? scale : 1;
+  const view = viewOf(rotated, solve(linear, offset));
+  return { ...camera, view, near: camera.near / scale, fx: camera.fx * zoom, fy: camera.fy * zoom };
+}
+
+/** A model on a stage. @typedef {import("./scene_file.js").SceneModel & {model: import("./model.js").Model, file: any}} Entry */
+
+/** Several models as one. */
+export class Stage {
+  /**
+   * Open a scene file and the files that it names.
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {Record<string, any>} document
+   * @param {string} name Of the file, for messages.
+   * @param {import("./model.js").Options} options
+   */
+  static async open(kernels, document, name, options) {
+    const warn = options.onWarning ?? (() => {});
+    const scene = readScene(document, name, warn);
+    const opening = scene.models.map(async (part) => {
+      const { path, where } = part;
+      const isInlined = path.startsWith("#");
+      const base = new URL(options.source ?? name, globalThis.document.baseURI);
+      if (!isInlined && !URL.canParse(path, base)) throw new GsgenError("is no address", { where: `${where}.path` });
+      const address = isInlined ? path : new URL(path, base).href;
+      const file = sourceFile(address);
+      const data = await file.bytes(() => {}, options.signal ?? new AbortController().signal);
+      const model = await openModel(kernels, data, path, { ...options, source: address });
+      if (model instanceof Stage) {
+        model.destroy();
+        throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${where}.path` });
+      }
+      return { ...part, model, file };
+    });
+    const results = await Promise.allSettled(opening);
+    const entries = results.flatMap((result) => (result.status === "fulfilled" ? [result.value] : []));
+    const release = () => entries.forEach(({ model }) => model.destroy());
+    const failed = results.find(({ status }) => status === "rejected");
+    try {
+      if (failed) throw /** @type {PromiseRejectedResult} */ (failed).reason;
+      return new Stage(entries, scene, document);
+    } catch (error) {
+      release();
+      throw error;
+    }
+  }
+
+  /**
+   * @param {Entry[]} entries
+   * @param {ReturnType<typeof readScene>} scene
+   * @param {Record<string, any>} document What the scene was read from.
+   */
+  constructor(entries, scene, document) {
+    this.entries = entries;
+    this._scene = scene;
+    this._document = document;
+    const spaces = new Set(entries.map(({ model }) => model.buffers.isLinear));
+    if (spaces.size > 1) throw new GsgenError("the models have colours in sRGB and in linear light: they do not blend");
+    for (const { inputs, model, where } of entries) checkInputs(inputs, model, where);
+    this.background = scene.background;
+    this.up = scene.up;
+    this.inputs = entries.flatMap(({ model }) => model.inputs);
+    this.findings = entries.flatMap(({ model }) => model.findings ?? []);
+    this.followsCamera = entries.some(({ model }) => model.followsCamera);
+    const buffers = entries.map(({ model }) => model.buffers);
+    this.buffers = {
+      isLinear: spaces.has(true),
+      get count() {
+        return buffers.reduce((sum, { count }) => sum + count, 0);
+      },
+    };
+    this.extent = extentOf(entries[0]);
+    const clocks = entries.flatMap(({ model }) => model.time ?? []);
+    const seconds = scene.seconds || Math.max(0, ...clocks.map((clock) => clock.seconds));
+    const loop = scene.seconds ? scene.loop : clocks.every((clock) => clock.loop);
+    /** Seconds of the timeline. @type {any} */
+    this.time = seconds ? { name: CLOCK, low: 0, high: seconds, seconds, loop } : null;
+    /** @type {import("./renderer.js").PlacedSet[]} */
+    this.sets = [];
+    this._place();
+  }
+
+  /** Where the camera is at first; what is absent shows the whole scene. */
+  get camera() {
+    const { camera, fieldOfView } = this._scene;
+    const place = isKeyed(camera) ? this.cameraAt(0) : camera;
+    return { ...(fieldOfView ? { fieldOfView } : {}), ...place };
+  }
+
+  /** Return the orbit at a time of a timeline with cameras; null without. */
+  cameraAt(seconds) {
+    const { camera, up } = this._scene;
+    return isKeyed(camera) ? orbitOf(valueAt(camera.keys, seconds), up) : null;
+  }
+
+  /** Compute the Gaussians of a frame; return whether the pages are others than before. */
+  async update({ [CLOCK]: seconds = 0, ...values }, camera) {
+    let isChanged = false;
+    for (const { model, transform, inputs } of this.entries) {
+      const keyed = Object.entries(inputs).map(([name, value]) => [name, isKeyed(value) ? valueAt(value.keys, seconds) : value]);
+      const given = { ...this._ownTime(model, seconds), ...values, ...Object.fromEntries(keyed) };
+      isChanged = (await model.update(given, localCamera(camera, transform))) || isChanged;
+    }
+    return this._place() || isChanged;
+  }
+
+  /** Return the time of a model: it goes through its range once. */
+  _ownTime({ time }, seconds) {
+    if (!time || !this.time) return {};
+    const value = time.low + (time.high - time.low) * (seconds / this.time.seconds);
+    return { [time.name]: time.isWhole ? Math.min(Math.floor(value), time.high) : value };
+  }
+
+  /** Give all sets their places; return whether there are others than before. */
+  _place() {
+    const sets = this.entries.flatMap((entry) => entry.model.sets.map((set) => [set, placed(set, entry)]));
+    const isSame = sets.length === this.sets.length && sets.every(([, { buffers }], i) => buffers === this.sets[i].buffers);
+    // The renderer reads the sets of a scene in every frame; others need another plan.
+    if (isSame) sets.forEach(([, set], i) => Object.assign(this.sets[i], set));
+    else this.sets = sets.map(([, set]) => set);
+    return !isSame;
+  }
+
+  /**
+   * Return the scene file of the stage as it stands.
+   * @param {import("./camera.js").Camera} [camera] Replaces that of the file.
+   * @param {import("./orbit_camera.js").Orbit} [orbit] Where the camera looks.
+   */
+  toJSON(camera, orbit) {
+    const { models: _, ...own } = this._document;
+    const models = this.entries.map(({ fields, path, transform, opacity }) => {
+      const { translate, rotate, scale, ...rest } = fields;
+      const rows = [0, 4, 8, 12].map((first) => transform.slice(first, first + 4));
+      return { ...rest, path, transform: rows, opacity_scale: opacity };
+    });
+        const place = camera && orbit && !isKeyed(own.camera) ? { camera: `look-at:${[...eyeOf(camera), ...orbit.target]}`, fov: orbit.fieldOfView } : {};
+    return { gsgen_scene: "1.0", ...own, models, ...place };
+  }
+
+  destroy() {
+    for (const { model } of this.entries) model.destroy();
+  }
+}
+
+/** Return a set of a model at its place on the stage. */
+function placed(set, { transform, opacity, degree, antialias, clip, isSorted }) {
+  const own = set.degree ?? set.buffers.degree ?? null;
+  return {
+    ...set,
+    transform: composed(transform, set.transform),
+    opacityScale: opacity,
+    ...(degree !== null && own !== null ? { degree: Math.min(own, degree) } : {}),
+    ...(antialias ? { antialias } : {}),
+    ...(clip ? { clip: mirrored(clip, set.transform) } : {}),
+    ...(isSorted ? { weighted: null } : {}),
+  };
+}
+
+/** Return a box in the axes of a file, whose transform mirrors axes at most. */
+function mirrored({ low, high }, transform) {
+  const sides = [0, 1, 2].map((axis) => [low[axis], high[axis]].map((part) => part * transform[5 * axis]).sort((a, b) => a - b));
+  return { low: sides.map(([side]) => side), high: sides.map(([, side]) => side) };
+}
+
+/** Refuse values of inputs that a model lacks. */
+function checkInputs(inputs, { inputs: specs }, where) {
+  const known = specs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
+  for (const name of Object.keys(inputs)) {
+    if (known.includes(name)) continue;
+    const nearest = nearestWord(name, known);
+    const hint = nearest ? `Is ${nearest} meant?` : `It has ${known.join(", ") || "none"}.`;
+    throw new GsgenError("is no input of the model", { where: `${where}.inputs.${name}`, hint });
+  }
+}
+
+/** Return the extent of a placed model in the world. */
+function extentOf({ model, transform }) {
+  const { center, half = [0, 0, 0], reach } = model.extent;
+  const linear = linearPart(transform);
+  return {
+    center: moved(transform, center),
+    half: [0, 3, 6].map((row) => dot(linear.slice(row, row + 3).map(Math.abs), half)),
+    reach: reach * meanScale(transform),
+  };
+}

@@ -1,0 +1,79 @@
+"""The browser client reads and refuses the scene files that Python reads and refuses."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.contract.errors import GsgenError
+from gsgen.runtime.sources.scene_file import read_scene
+from support.scene_documents import READ, WRONG
+from support.web.packages import package
+from support.web.pages import CLIENT
+
+_SCRIPT = """
+const { readScene } = await import(process.argv[1]);
+const read = (document) => {
+  const warnings = [];
+  try {
+    const scene = readScene(document, "scene.json", (...warning) => warnings.push(warning.join(" ")));
+    return { scene, warnings };
+  } catch (error) {
+    if (error.name !== "GsgenError") throw error;
+    return { where: error.where, message: error.message };
+  }
+};
+let text = "";
+for await (const part of process.stdin) text += part;
+console.log(JSON.stringify(JSON.parse(text).map(read)));
+"""
+
+
+@pytest.fixture(scope="module")
+def results() -> list[dict[str, Any]]:
+    """Return what the client makes of all documents, in one run of Node.js."""
+    package("types-0.1.74", needs_node=True)
+    documents = [document for document, _ in WRONG.values()] + READ
+    command = ["node", "--input-type=module", "--eval", _SCRIPT]
+    result = subprocess.run(
+        [*command, (CLIENT / "scene_file.js").as_uri()],
+        input=json.dumps(documents).replace("NaN", "1e999"),
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert result.stderr == ""
+    return list(json.loads(result.stdout))
+
+
+def test_what_python_refuses_is_refused_at_the_same_place(
+    results: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.json"
+    for name, (document, _) in WRONG.items():
+        path.write_text(json.dumps(document), "utf-8")
+        with pytest.raises(GsgenError) as caught:
+            read_scene(path)
+        result = results[list(WRONG).index(name)]
+        assert "where" in result, f"{name}: {result}"
+        assert result["where"] == caught.value.where.replace(str(path), "scene.json"), name
+
+
+def test_what_python_reads_has_the_same_values(
+    results: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.json"
+    for document, result in zip(READ, results[len(WRONG) :], strict=True):
+        path.write_text(json.dumps(document), "utf-8")
+        expected = read_scene(path)
+        assert result["warnings"] == []
+        scene = result["scene"]
+        for model, own in zip(scene["models"], expected.models, strict=True):
+            transform = np.reshape(model["transform"], (4, 4))
+            np.testing.assert_allclose(transform, own.transform, atol=1e-15, rtol=1e-14)
+            assert model["opacity"] == own.settings.opacity_scale
+        background = expected.background
+        assert scene["background"] == (None if background is None else list(background))

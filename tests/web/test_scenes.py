@@ -1,0 +1,170 @@
+"""Scene files in pages: several models in one world, drawn as `gsgen render` draws them."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.viewer_kit.write import kit_cases
+from gsgen.formats import write_ply, write_spz
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.runtime.playback.frame_sequence import FrameSequence
+from gsgen.runtime.playback.scene_camera import scene_viewpoint
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.scene_file import open_scene, read_scene
+from support.web.pages import WebSite, float32_result
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
+
+_WIDTH, _HEIGHT = 96, 64
+_LEAST_DECIBELS = 90
+_PAGE = f"""<!doctype html><meta charset=utf-8>
+  <style>gsgen-scene {{ width: {_WIDTH}px; height: {_HEIGHT}px; aspect-ratio: auto }}</style>
+  <script type=module src=/client/scene.js></script><body></body>""".encode()
+_CAMERA = Camera.look_at([0.4, -1.2, -7.0], [0, 0, 0], width=_WIDTH, height=_HEIGHT, fov_y=40)
+_MODELS: list[Any] = [
+    "knot.ply",
+    {
+        "path": "knot.spz",
+        "translate": [1.5, 0.5, 1],
+        "rotate": {"axis": [1, 2, 3], "degrees": 40},
+        "scale": [0.6, 0.8, 0.5],
+        "opacity_scale": 0.7,
+        "sh_degree": 0,
+        "antialias": "mip",
+        "clip": {"low": [-9, -0.5, -9], "high": [9, 9, 0.3]},
+    },
+]
+
+_GENERATORS = {"time-in-seconds", "view-row", "count-changes"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two splat files and two generators."""
+    folder = tmp_path_factory.mktemp("scene")
+    write_ply(folder / "knot.ply", torus_knot(600, degree=1))
+    write_spz(folder / "knot.spz", torus_knot(500, degree=1))
+    for case in kit_cases():
+        if case.name in _GENERATORS:
+            case.spec().write(folder / f"{case.name}.onnx")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(site: WebSite, folder: Path) -> Iterator[Any]:
+    for path in folder.iterdir():
+        site.contents[f"/{path.name}"] = path.read_bytes()
+    site.contents["/scenes.html"] = _PAGE
+    site.open("/scenes.html")
+    site.page.wait_for_function("Boolean(customElements.get('gsgen-scene'))")
+    yield site.page
+    site.open()
+
+
+def shown(site: WebSite, document: dict[str, Any]) -> Any:
+    """Show a scene file in a new element; return its errors, warnings and camera."""
+    site.contents["/scene.json"] = json.dumps(document).encode()
+    return site.page.evaluate(
+        """async () => {
+          document.body.replaceChildren();
+          const scene = document.createElement("gsgen-scene");
+          scene.src = `/scene.json?${Math.random()}`;
+          document.body.append(scene);
+          await scene.ready.catch(() => {});
+          return { errors: scene.report.errors, warnings: scene.warnings, duration: scene.duration };
+        }"""
+    )
+
+
+def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
+    """Return what the element draws at a time: red, green, blue."""
+    script = """async ([seconds, width, height]) => {
+      const scene = document.querySelector("gsgen-scene");
+      scene.currentTime = seconds;
+      const { _shown: shown } = scene;
+      return shown._aside(async (renderer) => {
+        shown.isStale = true;
+        const camera = shown.orbit.camera(width, height);
+        await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
+        return renderer.readImage("color");
+      });
+    }"""
+    numbers = float32_result(page, script, [seconds, _WIDTH, _HEIGHT])
+    return numbers.reshape(_HEIGHT, _WIDTH, 4)[..., :3]
+
+
+def rendered(
+    folder: Path, document: dict[str, Any], renderer: Renderer, frames: int = 1
+) -> list[np.ndarray]:
+    """Return the pictures that `gsgen render` draws of a scene file."""
+    path = folder / "scene.json"
+    path.write_text(json.dumps(document), "utf-8")
+    scene = read_scene(path)
+    sources = open_scene(scene)
+    view = scene_viewpoint([scene], None, _WIDTH, _HEIGHT, None, None)
+    sequence = FrameSequence(
+        sources, view, background=scene.background or (0, 0, 0, 1), frames=frames, renderer=renderer
+    )
+    images = [np.array(sequence.draw(number).rgba[..., :3]) for number in range(frames)]
+    for source in sources:
+        source.close()
+    return images
+
+
+def decibels(first: np.ndarray, second: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(first - second).mean() + 1e-20))
+
+
+def test_a_scene_of_files_and_generators_is_drawn_like_python(
+    page: Any, site: WebSite, folder: Path, renderer: Renderer
+) -> None:
+    document = {
+        "models": [
+            *_MODELS,
+            {"path": "time-in-seconds.onnx", "translate": [-1.5, 0, 0], "inputs": {"time": 3.0}},
+            {"path": "view-row.onnx", "rotate": [0.9, 0.1, 0.2, 0], "scale": 1.2},
+        ],
+        "background": [0.1, 0.2, 0.3, 1],
+        "camera": json.loads(_CAMERA.to_json()),
+    }
+    result = shown(site, document)
+    assert result["errors"] == result["warnings"] == []
+    [expected] = rendered(folder, document, renderer)
+    assert expected.std() > 0.05
+    actual = picture(page)
+    assert decibels(actual, expected) >= _LEAST_DECIBELS
+
+
+def test_children_of_an_element_are_the_models_of_a_scene(
+    page: Any, folder: Path, renderer: Renderer
+) -> None:
+    """What the page writes of it is read and drawn by Python."""
+    written = page.evaluate(
+        """async () => {
+          document.body.innerHTML = `<gsgen-scene background="0.1 0.2 0.3" field-of-view=40>
+            <gsgen-model src="/knot.ply" opacity=0.8></gsgen-model>
+            <gsgen-model src="/knot.spz" position="1.5 0.5 1" rotation="0.9 0.1 0.2 0" scale=0.5></gsgen-model>
+            <gsgen-model src="/time-in-seconds.onnx" position="-1.5 0 0"></gsgen-model></gsgen-scene>`;
+          const scene = document.querySelector("gsgen-scene");
+          scene.querySelectorAll("gsgen-model")[2].inputs = { time: 4 };
+          await scene.ready;
+          scene.orbit = { view: VIEW };
+          await scene.toBlob();
+          const entry = scene.stage.entries[1];
+          entry.transform = entry.transform.with(3, 1.25);
+          return [JSON.stringify(scene), scene.warnings];
+        }""".replace("VIEW", str(_CAMERA.view.ravel().tolist()))
+    )
+    text, warnings = written
+    document = json.loads(text)
+    assert warnings == []
+    for model in document["models"]:
+        model["path"] = Path(model["path"]).name
+    assert [model["transform"][0][3] for model in document["models"]] == [0, 1.25, -1.5]
+    [expected] = rendered(folder, document, renderer)
+    assert decibels(picture(page), expected) >= _LEAST_DECIBELS
