@@ -157,8 +157,9 @@ def test_no_kernel_is_written_in_javascript() -> None:
     names |= {row["label"] for row in document["modules"]}
     names |= {row["entry"] for row in document["pipelines"]}
     names |= {re.sub(r" \d+$", "", row["label"]) for row in document["buffers"]}
-    # Words that name inputs and outputs of a plan, or of a page, rather than a kernel's own.
+    # Words of inputs and outputs of a plan, of a page, or of a scene file; not a kernel's own.
     names -= {
+        "blend",
         "frame",
         "pages",
         "counts",

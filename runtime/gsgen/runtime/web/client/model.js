@@ -15,7 +15,7 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @property {import("./renderer.js").PlacedSet[]} sets What is drawn of it.
  * @property {{center: number[], half?: number[], reach: number}} extent
  * @property {number[]} up
- * @property {{name: string, low: number, high: number, seconds: number, loop: boolean} | null} time
+ * @property {{name: any, low: number, high: number, seconds: number, loop: boolean} | null} time
  * @property {any[]} inputs The inputs that a visitor may set.
  * @property {boolean} followsCamera
  * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a

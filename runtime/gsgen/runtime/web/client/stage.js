@@ -13,6 +13,7 @@ import { orbitOf, readScene } from "./scene_file.js";
 import { sourceFile } from "./source_files.js";
 import { nearestWord } from "./words.js";
 
+/** @type {symbol} */
 const CLOCK = Symbol("seconds"); // the name of a stage's time, which no input of a model has
 
 /** Return the geometric mean of the scales along the axes of a transform. */
@@ -123,13 +124,19 @@ export class Stage {
     return isKeyed(camera) ? orbitOf(valueAt(camera.keys, seconds), up) : null;
   }
 
-  /** Compute the Gaussians of a frame; return whether the pages are others than before. */
-  async update({ [CLOCK]: seconds = 0, ...values }, camera) {
+  /**
+   * Compute the Gaussians of a frame; return whether the pages are others than before.
+   * @param {Record<string | symbol, any>} given By name or role, and the seconds of the timeline.
+   * @param {import("./camera.js").Camera} camera
+   * @returns {Promise<boolean>}
+   */
+  async update(given, camera) {
+    const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
     for (const { model, transform, inputs } of this.entries) {
       const keyed = Object.entries(inputs).map(([name, value]) => [name, isKeyed(value) ? valueAt(value.keys, seconds) : value]);
-      const given = { ...this._ownTime(model, seconds), ...values, ...Object.fromEntries(keyed) };
-      isChanged = (await model.update(given, localCamera(camera, transform))) || isChanged;
+      const all = { ...this._ownTime(model, seconds), ...values, ...Object.fromEntries(keyed) };
+      isChanged = (await model.update(all, localCamera(camera, transform))) || isChanged;
     }
     return this._place() || isChanged;
   }
