@@ -121,7 +121,7 @@ VIEWER_FAULTS: Final[Mapping[str, tuple[str, str]]] = {
         for role in (
             *("view", "projection", "camera_position", "viewport", "time", "frame_index"),
             *("pose", "root_rotation", "root_translation", "shape", "expression"),
-            *("appearance_id", "control"),
+            *("appearance_id", "control", "image", "image_view", "image_intrinsics"),
         )
     },
 }

@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures.builders.moving import (
     input_driven_model,
 )
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
-from gsgen.conformance.fixtures.valid import moving
+from gsgen.conformance.fixtures.valid import moving, scene_inputs
 from gsgen.conformance.viewer_kit.case import (
     COMMON_SH_FAULTS,
     KitFrame,
@@ -100,6 +100,26 @@ def _moving_model_case(
 
 def _random_array(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.5, 0.5, shape).round(3)
+
+
+def _pictures(seed: int) -> np.ndarray:
+    """Return two random pictures."""
+    return np.random.default_rng(seed).random((2, 3, 4, 6)).round(3)
+
+
+def _picture_views(seed: int) -> np.ndarray:
+    """Return the view matrices of two pictures, as in mathematics."""
+    rotations = np.linalg.qr(np.random.default_rng(seed).normal(size=(2, 3, 3)))[0]
+    views = np.tile(np.eye(4), (2, 1, 1))
+    views[:, :3, :3] = rotations * np.linalg.det(rotations)[:, None, None]
+    views[:, :3, 3] = _random_array(seed, 2, 3)
+    return views.round(4)
+
+
+def _lenses(focal: float) -> np.ndarray:
+    """Return the pinhole matrices of two pictures."""
+    matrix = np.array([[focal, 0.0, 3.0], [0.0, focal, 2.0], [0.0, 0.0, 1.0]])
+    return np.stack([matrix, matrix])
 
 
 INPUT_CASES: tuple[ViewerKitCase, ...] = (
@@ -220,6 +240,17 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
         ("role-control",),
         moving.slider,
         *(orbit_frame(amount=[amount]) for amount in (2.0, 0.0)),
+    ),
+    ViewerKitCase(
+        name="pictures",
+        tests="Two pictures, their cameras and lenses, which other pictures replace.",
+        faults=(*_MOVING_MODEL_FAULTS, *("role-image", "role-image_view", "role-image_intrinsics")),
+        spec=scene_inputs.posed_picture_model,
+        frames=(
+            orbit_frame(image=_pictures(9), poses=_picture_views(10), lenses=_lenses(9.0)),
+            orbit_frame(image=_pictures(11), poses=_picture_views(12), lenses=_lenses(4.0)),
+        ),
+        slight=("dilation",),
     ),
     ViewerKitCase(
         name="default",

@@ -23,6 +23,7 @@ from gsgen.contract._safe_text import for_html, for_shell
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
+from gsgen.contract.spec.manifest_io import loads
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
 from gsgen.formats.codecs import codec_of_suffix
 from gsgen.formats.shared.splats import NO_ORIGIN
@@ -53,6 +54,7 @@ class ModelView:
         up: The world's upward axis, such as ``-y``; None for the model's.
         time: Fixed time of generators; None plays it.
         play: Whether the time is played.
+        images: Addresses of the pictures that generators are computed from.
     """
 
     background: tuple[float, float, float] | None = None
@@ -60,6 +62,7 @@ class ModelView:
     up: str | None = None
     time: float | None = None
     play: bool = True
+    images: tuple[str, ...] = ()
 
     def attributes(self) -> str:
         """Return the HTML attributes of the element ``gsgen-model`` for a page's view settings."""
@@ -68,6 +71,8 @@ class ModelView:
             attribute_names.append(
                 f'background="{" ".join(f"{part:g}" for part in self.background)}"'
             )
+        if self.images:
+            attribute_names.append(f'images="{for_html(" ".join(self.images))}"')
         if self.fov is not None:
             attribute_names.append(f'field-of-view="{self.fov:g}"')
         if self.up is not None:
@@ -204,10 +209,33 @@ def _inline_script(identifier: str, content: bytes) -> str:
 
 def _figure_html(address: str, path: Path, view: ModelView) -> str:
     name = for_html(path.name)
+    caption = name
+    if _takes_pictures(path):
+        caption += f' <input type="file" accept="image/*" multiple aria-label="Pictures of {name}">'
+    else:
+        view = replace(view, images=())
     return (
         f'<figure><gsgen-model src="{for_html(address)}" name="{name}" alt="{name}" '
-        f"{view.attributes()}></gsgen-model><figcaption>{name}</figcaption></figure>"
+        f"{view.attributes()}></gsgen-model><figcaption>{caption}</figcaption></figure>"
     )
+
+
+def _takes_pictures(path: Path) -> bool:
+    """Return whether a file is a generator that computes its Gaussians from pictures."""
+    if path.suffix.lower() != MODEL_SUFFIX:
+        return False
+    text = open_model(path).manifest_text
+    return text is not None and any(entry.role == "image" for entry in loads(text).inputs)
+
+
+_PICTURES_SCRIPT: Final = """
+<script type="module">
+for (const input of document.querySelectorAll("figcaption input")) {
+  const model = input.closest("figure").querySelector("gsgen-model");
+  input.addEventListener("change", () => (model.pictures = [...input.files]));
+}
+</script>
+"""
 
 
 def _page_html(names: list[str], head: list[str], figures_html: list[str], end: str) -> str:
@@ -222,6 +250,7 @@ def _page_html(names: list[str], head: list[str], figures_html: list[str], end: 
             *figures_html,
             "</main>",
             end,
+            _PICTURES_SCRIPT if any("<input" in figure for figure in figures_html) else "",
             "</html>\n",
         ]
     )

@@ -4,6 +4,7 @@ __all__ = ["ModelServer"]
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -43,7 +44,7 @@ class ModelServer(LocalServer):
         ort: Folder of ONNX Runtime Web; None without generators.
         port: Port; 0 takes one that is free.
         read: Reads files of splats.
-
+        images: Pictures that generators are computed from.
     """
 
     def __init__(
@@ -54,10 +55,13 @@ class ModelServer(LocalServer):
         ort: Path | None,
         port: int = 0,
         read: SplatReader = open_splats,
+        images: Sequence[Path] = (),
     ) -> None:
         super().__init__("127.0.0.1", port, _Handler)
         self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
         addresses = {quote(address): path for address, path in self._models.items()}
+        pictures = {f"/pictures/{number}/{path.name}": path for number, path in enumerate(images)}
+        view = replace(view, images=tuple(map(quote, pictures)))
         page = served_page(addresses, view).encode()
         self._content_readers: dict[str, Callable[[], ContentTypeAndBytes]] = {
             "/": lambda: ("text/html; charset=utf-8", page),
@@ -69,6 +73,8 @@ class ModelServer(LocalServer):
             self._content_readers[f"/gsgen/ort/{name}"] = partial(
                 _file, ort / name if ort else Path()
             )
+        for address, path in pictures.items():
+            self._content_readers[address] = partial(_file, path)
         for address, path in self._models.items():
             self._content_readers[address] = partial(_model_content, path, read)
 
@@ -92,7 +98,7 @@ def _client_content(name: str) -> ContentTypeAndBytes:
 
 
 def _file(path: Path) -> ContentTypeAndBytes:
-    return _MIME_TYPES[path.suffix], path.read_bytes()
+    return _MIME_TYPES.get(path.suffix, "application/octet-stream"), path.read_bytes()
 
 
 def _model_content(path: Path, read: SplatReader) -> ContentTypeAndBytes:

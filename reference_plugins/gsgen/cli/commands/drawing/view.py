@@ -120,7 +120,7 @@ def view(
 
     if web:
         page = _page_view(background, fov, up, time, play=play)
-        return _serve_page(scenes, page, ort, port, as_json=as_json)
+        return _serve_page(scenes, page, ort, port, image, as_json=as_json)
     symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
@@ -215,13 +215,20 @@ def _page_view(
 
 
 def _serve_page(
-    scenes: Sequence[Path], model_view: "ModelView", ort: Path | None, port: int, *, as_json: bool
+    scenes: Sequence[Path],
+    model_view: "ModelView",
+    ort: Path | None,
+    port: int,
+    images: Sequence[str] | None,
+    *,
+    as_json: bool,
 ) -> None:
     """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
 
     from gsgen.cli.commands.drawing.opening import read_splats
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+    from gsgen.runtime.playback.picture_inputs import picture_files
     from gsgen.runtime.web.onnxruntime_web import ort_folder
     from gsgen.runtime.web.pages import model_bytes
     from gsgen.runtime.web.serving import ModelServer
@@ -236,8 +243,11 @@ def _serve_page(
         model_bytes(path, read_splats)  # an unreadable file is an error here, not in the page alone
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
     folder = ort_folder(ort) if has_generator else None
+    pictures = picture_files(images) if images else []
     try:
-        server = ModelServer(scenes, model_view, ort=folder, port=port, read=read_splats)
+        server = ModelServer(
+            scenes, model_view, ort=folder, port=port, read=read_splats, images=pictures
+        )
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."
         message = f"cannot listen: {error.strerror}"

@@ -10,6 +10,7 @@ import { nearestWord } from "./words.js";
  * @property {string} alt What a screen reader says of the model.
  * @property {string} name The file's name, for messages.
  * @property {string} poster Address of a picture that is shown until the model is.
+ * @property {string} images Addresses of the pictures that a generator computes its Gaussians from.
  * @property {"eager" | "lazy"} loading
  * @property {boolean} cameraControls Whether visitors turn the camera.
  * @property {boolean} fileDrop Whether visitors drop files.

@@ -25,6 +25,13 @@ const address = () => ({
   reflects: "address",
 });
 
+/** @returns {Attribute} Addresses between spaces. */
+const list = () => ({
+  fallback: [],
+  parse: (value) => value.trim().split(/\s+/).filter(Boolean),
+  reflects: "written",
+});
+
 /** @returns {Attribute} An attribute that is on where it is written, whatever its value. */
 function flag() {
   const parse = (value, complain) => {
@@ -114,6 +121,7 @@ export const ATTRIBUTES = {
   alt: text(),
   name: text(),
   poster: address(),
+  images: list(),
   loading: keyword("lazy", "eager"),
   "camera-controls": flag(),
   "file-drop": flag(),

@@ -65,6 +65,8 @@ export class GsgenModel extends AttributedElement {
     this._wish = {};
     this._rate = 1;
     this._wasPaused = true;
+    /** @type {(Blob | string)[] | null} */
+    this._pictures = null;
     this._turned = { byVisitor: -Infinity, last: 0 };
     this._renewReady();
     this.inputs = {};
@@ -120,7 +122,7 @@ export class GsgenModel extends AttributedElement {
     super.attributeChangedCallback(name, before, now);
     if (!this.isConnected || before === now) return;
     const { _playback: playback, _shown: shown } = this;
-    if (name === "src") this._sourceChanged();
+    if (name === "src" || name === "images") this._sourceChanged();
     else if (name === "alt" || name === "camera-controls") this._describe();
     else if (name === "poster" && !shown) this._view.showPoster(this.poster);
     else if (name === "loading" && this.loading === "eager") this._loadIfPending();
@@ -479,13 +481,32 @@ export class GsgenModel extends AttributedElement {
 
   /** Show a file that was dropped on an element with the attribute `file-drop`. */
   _drop(event) {
-    const file = event.dataTransfer?.files[0];
+    const dropped = [...(event.dataTransfer?.files ?? [])];
+    const [file] = dropped;
     if (!file || !this.fileDrop) return;
     event.preventDefault();
+    if (dropped.every(({ type }) => type.startsWith("image/"))) {
+      this.pictures = dropped;
+      return;
+    }
     this.name = file.name;
     const before = this.src;
     this.src = URL.createObjectURL(file);
     if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+  }
+
+  /**
+   * The pictures that a generator computes its Gaussians from: files, or those of `images`.
+   * @returns {(Blob | string)[]}
+   */
+  get pictures() {
+    return this._pictures ?? this._valueOf("images").map((source) => new URL(source, document.baseURI).href);
+  }
+
+  /** @param {(Blob | string)[] | null} sources Files or addresses; null for those of `images`. */
+  set pictures(sources) {
+    this._pictures = sources && [...sources];
+    if (this.isConnected) this._sourceChanged();
   }
 
   _childrenChanged() {
@@ -572,6 +593,7 @@ export class GsgenModel extends AttributedElement {
     const model = await openModel(kernels, bytes, name, {
       source,
       target: this.target,
+      pictures: this.pictures,
       maxError: this.maxError ?? undefined,
       maxSplats: this.maxSplats ?? undefined,
       onChange: () => this._requestFrame(),
@@ -579,6 +601,13 @@ export class GsgenModel extends AttributedElement {
       onWarning: (where, problem) => this._complain(where, problem),
       onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
     });
+    const count = model.missingPictures ?? 0;
+    if (count) {
+      model.destroy();
+      throw new GsgenError(`is computed from ${count} ${count === 1 ? "picture" : "pictures"}, expected as many`, {
+        where: name, hint: 'Set the attribute images="a.png b.png", or drop files on it.',
+      });
+    }
     const shown = new ShownModel(kernels, model, pipeline, file, () => this._requestFrame());
     if (signal.aborted) return shown.destroy();
     this._prepare(shown);

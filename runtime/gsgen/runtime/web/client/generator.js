@@ -12,6 +12,7 @@ import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { IDENTITY, plus } from "./matrices.js";
 import { extentOf } from "./model.js";
+import { pictureValues } from "./pictures.js";
 import { evaluate } from "./plan.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
 
@@ -114,7 +115,8 @@ class GeneratorBuffers {
 
 /** A generator in a page. */
 export class GeneratorModel {
-  static async open(kernels, data, name, { target } = /** @type {{target?: string}} */ ({})) {
+  /** @param {{target?: string, pictures?: (Blob | string)[]}} [options] */
+  static async open(kernels, data, name, { target, pictures = [] } = {}) {
     const bytes = new Uint8Array(data);
     const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
     let subject, findings;
@@ -141,6 +143,7 @@ export class GeneratorModel {
     const session = await GeneratorSession.open(kernels, bytes, subject, manifest, name);
     const model = new GeneratorModel(kernels, session, manifest);
     model.findings = findings;
+    if (pictures.length) await model._takePictures(pictures, name);
     await model._survey();
     return model;
   }
@@ -161,6 +164,7 @@ export class GeneratorModel {
     this.findings = [];
     this.extent = { center: [0, 0, 0], half: [1, 1, 1], reach: 1 };
     this._hasRun = false;
+    this.hasPictures = false;
   }
 
   /** Compute the Gaussians of a frame; return whether the pages are others than before. */
@@ -168,6 +172,20 @@ export class GeneratorModel {
     const isChanged = this._inputs.update(values, camera);
     if (!isChanged && this._hasRun) return false;
     return this._run();
+  }
+
+  /** Compute from pictures, from now on. @param {(Blob | string)[]} sources Files or addresses. */
+  async _takePictures(sources, where) {
+    const spec = this.inputs.find(({ role }) => role === "image");
+    if (!spec) failing(where)("is not computed from pictures", "Leave out the attribute images.");
+    this._inputs.write(spec.name, await pictureValues(spec, this._inputs.shape(spec.name), sources));
+    this.hasPictures = true;
+  }
+
+  /** How many pictures the model needs before it can be shown; 0 with them, or without such inputs. */
+  get missingPictures() {
+    const spec = this.inputs.find(({ role }) => role === "image");
+    return spec && !this.hasPictures ? this._inputs.shape(spec.name)[0] : 0;
   }
 
   async _run() {

@@ -5,7 +5,8 @@ import { GsgenError } from "./errors.js";
 import { storageBuffer } from "./gpu_buffers.js";
 import { transposed4 } from "./matrices.js";
 
-const MATRICES = ["view", "projection"];
+const CAMERA_MATRICES = ["view", "projection"];
+const MATRICES = [...CAMERA_MATRICES, "image_view"];
 const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
 const ARRAYS = { float32: Float32Array, int32: Int32Array }; // the types that rules allow
 
@@ -23,7 +24,7 @@ export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
 /** Return the default of an input, as the contract defines it for the input's role. */
 function defaultOf(spec, shape) {
   const size = shape.reduce((a, b) => a * b, 1);
-  const fallback = MATRICES.includes(spec.role) ? "identity" : (spec.range?.[0] ?? 0);
+  const fallback = CAMERA_MATRICES.includes(spec.role) ? "identity" : (spec.range?.[0] ?? 0);
   const value = spec.default ?? fallback;
   if (value === "zeros") return new Array(size).fill(0);
   if (value === "identity") return identityOf(spec.role, shape, size);
@@ -32,13 +33,19 @@ function defaultOf(spec, shape) {
 
 function identityOf(role, shape, size) {
   const numbers = new Array(size).fill(0);
-  const [rows, columns] = [shape[0], shape[shape.length - 1]];
-  if (role !== "pose" && shape.length === 2 && rows === columns) {
-    for (let i = 0; i < rows; i++) numbers[i * (columns + 1)] = 1;
+  const [rows, columns] = [shape[shape.length - 2], shape[shape.length - 1]];
+  if (role !== "pose" && shape.length > 1 && rows === columns) {
+    for (let i = 0; i < size; i++) numbers[i] = Number(i % (rows * columns) % (columns + 1) === 0);
   } else if (columns === 4) {
     for (let i = 0; i < size; i += 4) numbers[i] = 1; // quaternions w, x, y, z
   }
   return numbers;
+}
+
+/** Return 4×4 matrices one after the other, each transposed. */
+function transposedMatrices(numbers) {
+  const starts = Array.from({ length: numbers.length / 16 }, (_, i) => 16 * i);
+  return starts.flatMap((start) => transposed4([...numbers.slice(start, start + 16)]));
 }
 
 /** The input tensors of a session, in buffers that stay: a captured graph reads the same ones. */
@@ -63,7 +70,7 @@ export class GeneratorInputs {
 
   /** Whether an input depends on the camera. */
   get followsCamera() {
-    const roles = [...MATRICES, "camera_position", "viewport"];
+    const roles = [...CAMERA_MATRICES, "camera_position", "viewport"];
     return [...this._inputs.values()].some(({ spec }) => roles.includes(spec.role));
   }
 
@@ -78,9 +85,19 @@ export class GeneratorInputs {
     let isChanged = false;
     for (const [name, { spec }] of this._inputs) {
       const value = values[name] ?? values[spec.role] ?? known[spec.role];
-      if (value !== undefined) isChanged = this._write(name, [value].flat(3)) || isChanged;
+      if (value !== undefined) isChanged = this.write(name, value) || isChanged;
     }
     return isChanged;
+  }
+
+  /** Write the value of an input; return whether it changed. */
+  write(name, value) {
+    return this._write(name, ArrayBuffer.isView(value) ? value : [value].flat(Infinity));
+  }
+
+  /** Return the shape of an input. */
+  shape(name) {
+    return this.feeds[name].dims;
   }
 
   _write(name, numbers) {
@@ -96,7 +113,7 @@ export class GeneratorInputs {
       throw new GsgenError(`is ${numbers}, expected ${low} to ${high}`, { where: `input ${name}` });
     }
     const isMatrix = MATRICES.includes(spec.role) && this._isTransposed;
-    const ordered = isMatrix ? transposed4(numbers) : numbers;
+    const ordered = isMatrix ? transposedMatrices(numbers) : numbers;
     const key = ordered.join();
     if (key === input.last) return false;
     input.last = key;

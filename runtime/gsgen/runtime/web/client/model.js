@@ -21,6 +21,7 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
  *     frame; true if the pages are others than before.
  * @property {() => void} destroy
+ * @property {number} [missingPictures] How many pictures the model needs before it can be shown.
  * @property {any} [manifest] Of generators, with the findings of rules.
  * @property {any[]} [findings]
  * @property {number[] | null} [background] Of scenes: red, green, blue and alpha.
@@ -77,6 +78,7 @@ const isScene = (document) => ["gsgen_scene", "models", "meshes"].some((name) =>
  * @property {string} [source] Address of the tileset, to which those of its tiles are relative.
  * @property {number} [maxError] Error in pixels above which tiles are refined.
  * @property {number} [maxSplats] Most Gaussians in GPU memory.
+ * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.
  * @property {() => void} onChange Called when tiles have arrived.
  * @property {(error: import("./errors.js").GsgenError) => void} onError
