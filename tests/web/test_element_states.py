@@ -243,7 +243,8 @@ def test_a_loss_at_any_moment_leaves_the_model_shown(page: Any) -> None:
     results = page.evaluate(
         """async (cases) => {
           const frame = () => new Promise(requestAnimationFrame);
-          const lose = (element) => element._shown.renderer.device.destroy();
+          const losses = [];
+          const lose = ({ _shown: { renderer: { device } } }) => losses.push(device.lost) && device.destroy();
           const results = {};
           for (const [name, code] of Object.entries(cases)) {
             const element = made({ src: "knot.spz" });
@@ -252,6 +253,7 @@ def test_a_loss_at_any_moment_leaves_the_model_shown(page: Any) -> None:
             element.events.length = 0;
             const act = new Function("element", "lose", "frame", `return (async () => { ${code} })()`);
             await act(element, lose, frame);
+            await Promise.all(losses); // the element hears of a loss no sooner
             await pause(100);
             await until(() => element.state === "ready" && element._shown?.camera);
             const told = element.events.filter((words) => words.startsWith("error"));
