@@ -453,7 +453,7 @@ export class GsgenModel extends AttributedElement {
     const [ownWidth, ownHeight] = this._size();
     const given = typeof options === "string" ? { type: options } : options;
     const { width = ownWidth, height = ownHeight, type, quality } = given;
-    if (!this.isConnected || !candidatesOf(this).length) {
+    if (!this.isConnected || !this._candidates().length) {
       throw new GsgenError("there is no model in this document", { where: "toBlob()" });
     }
     this._loadIfPending();
