@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 A: dict[str, Any] = {"path": "a.npz"}
+KEY: dict[str, Any] = {"at": 1, "value": 0.5}
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "empty": ({}, "the scene file has neither models nor meshes"),
@@ -54,6 +55,41 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "width": ({"models": [A], "width": 0}, "width: is 0, expected a whole number from 1"),
     "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, expected more than 0"),
     "up": ({"models": [A], "up": "y"}, "up: unknown word 'y'"),
+    "key_order": (
+        {"models": [A | {"inputs": {"time": {"keys": [KEY, KEY]}}}]},
+        r"inputs\.time\.keys\[1\]\.at: is not later",
+    ),
+    "key_field": (
+        {"models": [A | {"inputs": {"time": {"keys": [KEY | {"ease": 1}]}}}]},
+        r"inputs\.time\.keys\[0\]: unknown field 'ease'",
+    ),
+    "key_without_time": (
+        {"models": [A | {"inputs": {"time": {"keys": [{"value": 1}]}}}]},
+        r"keys\[0\]\.at: is missing",
+    ),
+    "key_without_value": (
+        {"models": [A | {"inputs": {"time": {"keys": [{"at": 1}]}}}]},
+        r"keys\[0\]\.value: is missing",
+    ),
+    "key_easing": (
+        {"models": [A], "camera": {"keys": [{"at": 0, "value": "orbit", "easing": "bounce"}]}},
+        r"camera\.keys\[0\]\.easing: unknown word 'bounce'",
+    ),
+    "no_keys": ({"models": [A], "camera": {"keys": []}}, r"camera\.keys: has no key frame"),
+    "key_camera": (
+        {"models": [A], "camera": {"keys": [{"at": 0, "value": "cameras.json"}]}},
+        r"camera\.keys\[0\]\.value: is 'cameras.json', expected orbit",
+    ),
+    "key_forms": (
+        {
+            "models": [A],
+            "camera": {"keys": [{"at": 0, "value": "orbit"}, {"at": 1, "value": "orbit:1,2,3"}]},
+        },
+        r"camera\.keys\[1\]\.value: has another form",
+    ),
+    "timeline": ({"models": [A], "timeline": {"seconds": -1}}, r"timeline\.seconds: is -1"),
+    "timeline_of_nothing": ({"models": [A], "timeline": {"fps": 25}}, r"timeline\.seconds: is 0"),
+    "timeline_loop": ({"models": [A], "timeline": {"seconds": 1, "loop": 1}}, "true or false"),
 }
 
 
@@ -85,4 +121,13 @@ READ: list[dict[str, Any]] = [
         "camera": "look-at:0,0,-4,1,0,0",
     },
     {"models": [A], "background": "0.1,0.2,0.3,0", "camera": "orbit:30,20"},
+    {
+        "models": [
+            A | {"inputs": {"time": {"keys": [{"at": 0.5, "value": 2, "easing": "hold"}, KEY]}}}
+        ],
+        "camera": {
+            "keys": [{"at": 0, "value": "orbit:30,20,4"}, {"at": 3, "value": "orbit:90,2,1"}]
+        },
+        "timeline": {"fps": 30, "loop": True},
+    },
 ]

@@ -168,3 +168,39 @@ def test_children_of_an_element_are_the_models_of_a_scene(
     assert [model["transform"][0][3] for model in document["models"]] == [0, 1.25, -1.5]
     [expected] = rendered(folder, document, renderer)
     assert decibels(picture(page), expected) >= _LEAST_DECIBELS
+
+
+def test_a_timeline_moves_cameras_and_inputs_like_python(
+    page: Any, site: WebSite, folder: Path, renderer: Renderer
+) -> None:
+    """Three generators: with key frames, with a time of its own, and one that sees the camera."""
+    eyes = ["look-at:0.4,-1.2,-7,0,0,0", "look-at:3,-1,-6,0.2,0,0"]
+    document = {
+        "models": [
+            *_MODELS,
+            {
+                "path": "time-in-seconds.onnx",
+                "translate": [-1.5, 0, 0],
+                "inputs": {
+                    "time": {
+                        "keys": [
+                            {"at": 0, "value": 3, "easing": "ease-in-out"},
+                            {"at": 1.5, "value": 9},
+                            {"at": 2, "value": 4},
+                        ]
+                    }
+                },
+            },
+            {"path": "count-changes.onnx", "translate": [0, 1, -1]},
+            {"path": "view-row.onnx", "rotate": [0.9, 0.1, 0.2, 0], "scale": [1.2, 1.1, 1]},
+        ],
+        "camera": {"keys": [{"at": 0, "value": eyes[0]}, {"at": 2, "value": eyes[1]}]},
+        "fov": 40,
+    }
+    result = shown(site, document)
+    assert result["errors"] == result["warnings"] == []
+    assert result["duration"] == 2
+    images = rendered(folder, document, renderer, frames=3)
+    assert np.abs(images[0] - images[1]).max() > 0.2
+    for seconds, expected in zip((0, 1, 2), images, strict=True):
+        assert decibels(picture(page, seconds), expected) >= _LEAST_DECIBELS

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.errors import GsgenError
+from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames
 from gsgen.runtime.sources.scene_file import read_scene
 from support.scene_documents import READ, WRONG
 from support.web.packages import package
@@ -77,3 +78,29 @@ def test_what_python_reads_has_the_same_values(
             assert model["opacity"] == own.settings.opacity_scale
         background = expected.background
         assert scene["background"] == (None if background is None else list(background))
+        length, loop = (expected.span.seconds, expected.span.loop) if expected.span else (0, False)
+        assert (scene["seconds"], scene["loop"]) == (length, loop)
+
+
+def test_key_frames_have_the_values_of_python() -> None:
+    """Of every easing, before, at, between and after key frames."""
+    package("types-0.1.74", needs_node=True)
+    script = (
+        "const { valueAt } = await import(process.argv[1]);"
+        "const [keys, moments] = JSON.parse(process.argv[2]);"
+        "console.log(JSON.stringify(moments.map((moment) => valueAt(keys, moment))));"
+    )
+    values = [[float(i), i**2 - 3.0] for i in range(len(EASINGS) + 1)]
+    easings = [*EASINGS, "linear"]
+    keys = KeyFrames(tuple(0.5 + i for i in range(len(values))), np.array(values), tuple(easings))
+    moments = np.linspace(0, len(values) + 1, 113).tolist()
+    described = [
+        {"at": at, "value": value, "easing": easing}
+        for at, value, easing in zip(keys.times, values, easings, strict=True)
+    ]
+    module, text = (CLIENT / "key_frames.js").as_uri(), json.dumps([described, moments])
+    command = ["node", "--input-type=module", "--eval", script, module, text]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.stderr == ""
+    expected = [keys.at(moment) for moment in moments]
+    np.testing.assert_allclose(json.loads(result.stdout), expected, atol=1e-15, rtol=1e-14)

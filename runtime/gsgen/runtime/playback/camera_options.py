@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
+from gsgen.runtime.sources.key_frames import KeyFrames, Span
 from gsgen.runtime.sources.source import Source, axis_direction
 
 _ACCEPTED_FORMS_HINT: Final = (
@@ -19,6 +20,7 @@ _ACCEPTED_FORMS_HINT: Final = (
 )
 _DEFAULT_AZIMUTH: Final = 30.0
 _ELEVATION_DEGREES: Final = 20.0
+_LOOK_AT_NUMBERS: Final = 6
 _PANORAMA_WIDTH: Final = 2048  # pixels
 _DEFAULT_WIDTH, _DEFAULT_HEIGHT = 1280, 720
 
@@ -52,6 +54,8 @@ class Viewpoint:
         file_notes: Notes on the file of cameras.
         times: The time of the scene at each of ``cameras``, of a file that has times.
         fps: Frames per second of a camera path with a rate.
+        keys: Key frames of an orbit, or of eye and target, in place of these.
+        span: The timeline of the key frames.
     """
 
     orbit: tuple[float, float, float | None] | None = None
@@ -66,6 +70,18 @@ class Viewpoint:
     file_notes: tuple[str, ...] = ()
     times: tuple[float, ...] = ()
     fps: float | None = None
+    keys: KeyFrames | None = None
+    span: Span | None = None
+
+    def at(self, number: int, frames: int) -> "Viewpoint":
+        """Return the viewpoint of frame ``number``, from 0, by the key frames if there are any."""
+        if self.keys is None or self.span is None:
+            return self
+        numbers = tuple(self.keys.at(self.span.seconds_of(number, frames)).tolist())
+        if len(numbers) == _LOOK_AT_NUMBERS:
+            return replace(self, orbit=None, look_at=numbers)
+        radius = numbers[2] if len(numbers) > 2 else None
+        return replace(self, orbit=(numbers[0], numbers[1], radius), look_at=None)
 
     @property
     def sizes(self) -> set[tuple[int, int]]:

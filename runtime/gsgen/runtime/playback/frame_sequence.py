@@ -82,13 +82,19 @@ class FrameSequence(Playback):
             post,
             timeline,
             frames=frames
-            or max(len(view.cameras), timeline.frames, *(len(source.files) for source in sources)),
-            fps=fps or view.fps,
+            or max(
+                len(view.cameras),
+                timeline.frames,
+                view.span.frames if view.span else 1,
+                *(len(source.files) for source in sources),
+            ),
+            fps=fps or view.fps or (view.span.fps if view.span else None),
             sh_degree=sh_degree,
             antialias=antialias,
         )
         self._view, self._output_mode, self.notes = view, mode, view.notes + notes
-        is_camera_turning = self.frames > 1 and view.orbit is not None and not timeline.is_animated
+        is_moving = timeline.is_animated or view.keys is not None
+        is_camera_turning = self.frames > 1 and view.orbit is not None and not is_moving
         self._turn_degrees = (
             turn if turn is not None else (FULL_TURN_DEGREES if is_camera_turning else 0.0)
         )
@@ -106,7 +112,8 @@ class FrameSequence(Playback):
     def frame_request(self, number: int) -> FrameRequest:
         """Return the camera and the input values of frame ``number``, from 0."""
         turn = self._turn_degrees * number / self.frames
-        return self.request(self._view.camera(self.sources[0], number, turn), number)
+        view = self._view.at(number, self.frames)
+        return self.request(view.camera(self.sources[0], number, turn), number)
 
     def frame_requests(self) -> Iterator[FrameRequest]:
         """Yield the camera and the input values of all frames, in order."""

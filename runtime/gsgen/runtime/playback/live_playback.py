@@ -51,13 +51,16 @@ class LivePlayback(Playback):
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
         timeline = Timeline([*sources, *post], tracks, time)
+        span = timeline.span
         default_frames = timeline.frames if timeline.frames > 1 else _range_length(sources)
+        if span is not None:
+            default_frames = span.frames
         super().__init__(
             sources,
             post,
             timeline,
             frames=(frames or default_frames) if timeline.is_animated else 1,
-            fps=fps,
+            fps=fps or (span.fps if span else None),
             sh_degree=sh_degree,
             antialias=antialias,
         )

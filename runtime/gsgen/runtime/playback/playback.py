@@ -1,9 +1,9 @@
 """The base of playbacks: sources of Gaussians, post-process models, and input values by frame."""
 
-__all__ = ["DEFAULT_FPS", "Playback", "frame_rate"]
+__all__ = ["Playback", "frame_rate"]
 
 from collections.abc import Sequence
-from typing import Final, Literal
+from typing import Literal
 
 from gsgen.runtime.playback.player import FrameRequest, Player, compose_scene
 from gsgen.runtime.playback.post_process import PostProcessor
@@ -12,10 +12,8 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.sources.key_frames import DEFAULT_FPS
 from gsgen.runtime.sources.source import Source, Values
-
-DEFAULT_FPS: Final = 25.0
-"""Default frames per second, without a rate of the caller or a manifest."""
 
 
 def frame_rate(sources: Sequence[Source]) -> float:

@@ -14,6 +14,7 @@ from gsgen.contract.spec.manifest import Input, PostProcessManifest
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.playback.image_tiling import run_tiled
 from gsgen.runtime.scene.frame import Frame, srgb_of_linear
+from gsgen.runtime.sources.key_frames import Animation
 from gsgen.runtime.sources.source import named
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class PostProcessor:
         ModelUnreadable: The file is not an ONNX model.
         SceneInvalid: The file is not a post-process model.
     """
+
+    animation: Animation | None = None  # post-process models have no key frames
 
     def __init__(
         self,

@@ -9,6 +9,7 @@ from typing import TypeVar
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.playback.camera_options import DEFAULT_FOV, Viewpoint, viewpoint
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.key_frames import KeyFrames
 from gsgen.runtime.sources.scene_file import SceneFile
 
 Setting = TypeVar("Setting")
@@ -36,9 +37,9 @@ def scene_viewpoint(
     """
     has_camera_option = orthographic or panorama or camera is not None
     kind = None if has_camera_option else first_setting([file.kind for file in files])
-    cameras: list[str | Camera | None] = [camera, *(file.camera for file in files)]
+    cameras: list[str | Camera | KeyFrames | None] = [camera, *(file.camera for file in files)]
     scene_camera = next((entry for entry in cameras if entry is not None), None)
-    text = None if isinstance(scene_camera, Camera) else scene_camera
+    text = scene_camera if isinstance(scene_camera, str) else None
     degrees = first_setting([fov, *(file.fov for file in files)])
     try:
         view = viewpoint(
@@ -56,5 +57,6 @@ def scene_viewpoint(
         path = next(file.path for file in files if file.camera is not None)
         raise error.located(f"{path}: camera") from error
     if isinstance(scene_camera, Camera):
-        return replace(view, orbit=None, cameras=(scene_camera,))
-    return view
+        view = replace(view, orbit=None, cameras=(scene_camera,))
+    keys = scene_camera if isinstance(scene_camera, KeyFrames) else None
+    return replace(view, keys=keys, span=first_setting([file.span for file in files]))

@@ -13,6 +13,7 @@ from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.input_tracks import Track
+from gsgen.runtime.sources.key_frames import Animation, Span
 from gsgen.runtime.sources.source import Values
 
 
@@ -22,6 +23,10 @@ class AnimatedInputs(Protocol):
     @property
     def inputs(self) -> Sequence[Input]:
         """The model inputs that a caller may set."""
+
+    @property
+    def animation(self) -> Animation | None:
+        """The timeline of a scene file that the inputs follow; None without."""
 
     def named(self, input_name: str) -> list[Input]:
         """Return the model inputs with this tensor name, or else with this input role."""
@@ -35,7 +40,7 @@ class Timeline:
     """The input values of each model in each frame.
 
     Over several frames, inputs without a track advance by themselves: a time goes through its
-    range, and a frame number counts.
+    range, and a frame number counts. In a scene with a timeline, key frames precede them.
     """
 
     def __init__(
@@ -73,11 +78,17 @@ class Timeline:
         return max(self._track_lengths, default=1)
 
     @property
+    def span(self) -> Span | None:
+        """The timeline of the first scene file that has one; None without."""
+        animations = (model.animation for model in self._models)
+        return next((animation.span for animation in animations if animation), None)
+
+    @property
     def is_animated(self) -> bool:
         """Whether the value of any model input differs between the frames of a video."""
         has_sweep = any(track.sweep for track in self._tracks)
         has_advancing_input = any(self._advancing_inputs(model) for model in self._models)
-        return self.frames > 1 or has_sweep or has_advancing_input
+        return self.frames > 1 or has_sweep or has_advancing_input or self.span is not None
 
     def values(self, number: int, frames: int) -> list[Values]:
         """Return the input values of each model in frame ``number``, from 0, of ``frames``."""
@@ -85,7 +96,9 @@ class Timeline:
 
     def _values(self, model: AnimatedInputs, number: int, frames: int) -> Values:
         values: dict[str, object] = {}
-        if frames > 1:
+        if model.animation is not None:
+            values |= self._animated_values(model, model.animation, number, frames)
+        elif frames > 1:
             for spec, ends in self._advancing_inputs(model):
                 values[spec.name] = _time_value_of_frame(spec, ends, number, frames)
         if self._time is not None:
@@ -95,6 +108,23 @@ class Timeline:
                 value = track.value_at(model.shape(spec.name), number, frames)
                 is_counter = track.sweep and ROLES[spec.role].index
                 values[spec.name] = _round_to_integers(value) if is_counter else value
+        return values
+
+    def _animated_values(
+        self, model: AnimatedInputs, animation: Animation, number: int, frames: int
+    ) -> Values:
+        """Return the values of key frames; times without any go through their range once."""
+        seconds = animation.span.seconds_of(number, frames)
+        share = seconds / animation.span.seconds
+        values: dict[str, object] = {}
+        for spec, (low, high) in self._advancing_inputs(model):
+            value = low + (high - low) * share
+            values[spec.name] = int(min(value, high)) if spec.role == "frame_index" else value
+        roles = {spec.name: spec.role for spec in model.inputs}
+        for name, keys in animation.keys.items():
+            numbers = keys.at(seconds).reshape(model.shape(name))
+            is_index = ROLES[roles[name]].index
+            values[name] = _round_to_integers(np.floor(numbers + 0.5)) if is_index else numbers
         return values
 
     def _advancing_inputs(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:

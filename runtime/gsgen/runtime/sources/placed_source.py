@@ -2,9 +2,10 @@
 
 __all__ = ["DrawSettings", "PlacedSource", "local_camera"]
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, final
+from typing import Literal, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +15,10 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSplatSet
+from gsgen.runtime.sources.key_frames import Animation, KeyFrames
 from gsgen.runtime.sources.source import Source, SourceShortfall, Values
+
+Value = TypeVar("Value")
 
 
 @final
@@ -49,6 +53,7 @@ class PlacedSource(Source):
         settings: Drawing settings.
         values: Inputs with a fixed value: tensor name or role → value.
         where: Location of ``values`` in error messages.
+        animation: The timeline of its scene, with key frames of inputs: tensor name or role → keys.
     """
 
     def __init__(
@@ -58,10 +63,16 @@ class PlacedSource(Source):
         settings: DrawSettings | None = None,
         values: Values | None = None,
         where: str = "values",
+        animation: Animation | None = None,
     ) -> None:
         self._wrapped_source, self._settings = inner, settings or DrawSettings()
         self._placement_transform = np.array(transform, np.float64)
         self._fixed_values = _values_by_name(inner, values or {}, where)
+        self.animation = inner.animation
+        if animation is not None:
+            keys = _values_by_name(inner, animation.keys, where)
+            _require_sizes(inner, keys, where)
+            self.animation = replace(animation, keys=keys)
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._settings.antialias or inner.antialias
         self.weighted = None if self._settings.sorted else inner.weighted
@@ -180,10 +191,20 @@ class PlacedSource(Source):
         self._wrapped_source.close()
 
 
-def _values_by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
+def _require_sizes(source: Source, keys: Mapping[str, KeyFrames], where: str) -> None:
+    """Raise if key frames have more or fewer numbers than their inputs."""
+    for input_name, key_frames in keys.items():
+        shape, count = source.shape(input_name), key_frames.values.shape[1]
+        if count != math.prod(shape):
+            raise SceneInvalid(
+                f"has {count} numbers, expected {math.prod(shape)}", where=f"{where}.{input_name}"
+            )
+
+
+def _values_by_name(source: Source, values: Mapping[str, Value], where: str) -> dict[str, Value]:
     """Convert names and input roles of model inputs to tensor names, the keys of input values."""
     known_names = {input_name for spec in source.inputs for input_name in (spec.name, spec.role)}
-    by_name: dict[str, object] = {}
+    by_name: dict[str, Value] = {}
     for input_name, value in values.items():
         matches = source.named(input_name)
         if not matches:

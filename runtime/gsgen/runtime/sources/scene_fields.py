@@ -2,7 +2,7 @@
 
 __all__ = ["Fields", "fields_of", "refuse"]
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NoReturn, TypeVar, final
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import UnknownName
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames
 
 _MAX_NUMBER = 1e12
 ChoiceText = TypeVar("ChoiceText", bound=str)
@@ -130,14 +131,51 @@ class Fields:
             self._raise_field_mismatch(name, f"{expected} that are finite")
         return array.astype(np.float64)
 
-    def mapping(self, name: str) -> Mapping[str, np.ndarray]:
-        """Read an object of a scene file whose values are numbers or lists of numbers."""
+    def values_or_keys(self, name: str) -> tuple[Mapping[str, np.ndarray], Mapping[str, KeyFrames]]:
+        """Read an object whose values are numbers, lists of numbers, or key frames of them."""
+        if not self.has_field(name):
+            return {}, {}
+        nested_fields = self.nested_fields(name)
+        values, keys = {}, {}
+        for key, value in nested_fields._document.items():
+            if isinstance(value, dict):
+                keys[key] = nested_fields.nested_fields(key).key_frames(_flat_numbers, "numbers")
+            else:
+                values[key] = self._values(f"{name}.{key}", value)
+        return values, keys
+
+    def key_frames(self, read: Callable[[object], list[float] | None], expected: str) -> KeyFrames:
+        """Read the field ``keys`` of an object: key frames of numbers that ``read`` finds."""
+        times: list[float] = []
+        values: list[list[float]] = []
+        easings: list[str] = []
+        for part in self.parts("keys"):
+            seconds = part.number("at", low=0)
+            value = part.unchecked_value("value")
+            numbers = None if value is None else read(value)
+            easings.append(part.choice("easing", tuple(EASINGS)) or "linear")
+            part.close()
+            if seconds is None:
+                part._raise_field_mismatch("at", "seconds from 0")
+            if numbers is None:
+                part._raise_field_mismatch("value", expected)
+            if times and seconds <= times[-1]:
+                part.refuse("at", "is not later than the one before")
+            if values and len(numbers) != len(values[0]):
+                part.refuse("value", "has another form than the first")
+            times.append(seconds)
+            values.append(numbers)
+        self.close()
+        if not times:
+            self.refuse("keys", "has no key frame")
+        return KeyFrames(tuple(times), np.array(values, np.float64), tuple(easings))
+
+    def switch(self, name: str) -> bool:
+        """Read a field of a scene file that is true or false; false if it is absent."""
         value = self.unchecked_value(name)
-        if value is None:
-            return {}
-        if not isinstance(value, dict):
-            self._raise_field_mismatch(name, "an object")
-        return {key: self._values(f"{name}.{key}", value) for key, value in value.items()}
+        if value is not None and not isinstance(value, bool):
+            self._raise_field_mismatch(name, "true or false")
+        return bool(value)
 
     def _values(self, name: str, value: object) -> np.ndarray:
         try:
@@ -179,6 +217,16 @@ class Fields:
         refuse(
             f"is {_shorten_value(self._document[name])}, expected {expected}", self.location(name)
         )
+
+
+def _flat_numbers(value: object) -> list[float] | None:
+    """Return all numbers of nested lists, in order; None of other values."""
+    try:
+        array = np.array(value)
+    except ValueError:  # rows of several lengths
+        return None
+    is_numbers = array.dtype.kind in "ifb" and array.size and np.isfinite(array).all()
+    return array.astype(np.float64).ravel().tolist() if is_numbers else None
 
 
 def _shorten_value(value: object) -> str:

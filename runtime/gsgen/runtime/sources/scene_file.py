@@ -22,6 +22,7 @@ from gsgen.runtime.scene.colors import color_of
 from gsgen.runtime.scene.mesh import SHADINGS, Shading
 from gsgen.runtime.scene.scene import Box
 from gsgen.runtime.scene.transforms import require_affine
+from gsgen.runtime.sources.key_frames import DEFAULT_FPS, Animation, KeyFrames, Span
 from gsgen.runtime.sources.mesh_files import read_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
@@ -50,6 +51,7 @@ class SceneModel:
     transform: Float[np.ndarray, "4 4"]
     settings: DrawSettings
     inputs: Mapping[str, np.ndarray]
+    keys: Mapping[str, KeyFrames]
     where: str
 
 
@@ -74,24 +76,27 @@ class SceneFile:
         models: Splat files and generators, in order.
         meshes: Mesh files, in order.
         background: Red, green, blue and alpha behind the scene.
-        camera: A value of ``--camera``, or a camera.
+        camera: A value of ``--camera``, a camera, or key frames of an orbit (2 or 3 numbers) or of
+            an eye and a target (6 numbers).
         width: Width of the image, in pixels.
         height: Height of the image, in pixels.
         fov: Vertical field of view, in degrees.
         up: Axis of the world that points up; it overrides that of the models.
-        kind: ``pinhole``, ``orthographic`` or ``panorama``, if ``camera`` is a text.
+        kind: ``pinhole``, ``orthographic`` or ``panorama``, if ``camera`` is no camera.
+        span: The timeline; None if nothing has key frames and there is none.
     """
 
     path: Path
     models: tuple[SceneModel, ...]
     meshes: tuple[SceneMesh, ...]
     background: tuple[float, float, float, float] | None = None
-    camera: str | Camera | None = None
+    camera: str | Camera | KeyFrames | None = None
     width: int | None = None
     height: int | None = None
     fov: float | None = None
     up: str = "-y"
     kind: Literal["pinhole", "orthographic", "panorama"] | None = None
+    span: Span | None = None
 
 
 def is_scene_file(path: Path) -> bool:
@@ -122,17 +127,21 @@ def read_scene(path: str | Path) -> SceneFile:
         refuse(
             "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
         )
+    camera = _camera(fields, file.parent)
+    keyed = [keys for model in models for keys in model.keys.values()]
+    keyed += [camera] if isinstance(camera, KeyFrames) else []
     scene_file = SceneFile(
         path=file,
         models=models,
         meshes=meshes,
         background=_background(fields),
-        camera=_camera(fields, file.parent),
+        camera=camera,
         width=fields.side("width"),
         height=fields.side("height"),
         fov=_read_fov(fields),
         up=fields.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
         kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
+        span=_span(fields, max((keys.times[-1] for keys in keyed), default=0.0)),
     )
     fields.close()
     return scene_file
@@ -176,20 +185,25 @@ def open_scene(
                 confined,
                 origin,
             )
-            sources.append(_open_model(model, open_file))
+            sources.append(_open_model(model, open_file, scene_file.span))
             exit_stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
         exit_stack.pop_all()  # from here on the caller closes the sources
     return sources
 
 
-def _open_model(model: SceneModel, open_file: Callable[[], Source]) -> Source:
+def _open_model(model: SceneModel, open_file: Callable[[], Source], span: Span | None) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
     nested_fields = _locate_errors(open_file, f"{model.where}.path")
     try:
         return PlacedSource(
-            nested_fields, model.transform, model.settings, model.inputs, f"{model.where}.inputs"
+            nested_fields,
+            model.transform,
+            model.settings,
+            model.inputs,
+            f"{model.where}.inputs",
+            None if span is None else Animation(span, model.keys),
         )
     except GsgenError as error:
         nested_fields.close()
@@ -249,6 +263,7 @@ def _reject_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
     opacity_scale = fields.number("opacity_scale", low=0)
+    inputs, keys = fields.values_or_keys("inputs")
     model = SceneModel(
         path=folder / fields.required_text("path"),
         transform=_read_transform(fields),
@@ -259,7 +274,8 @@ def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
             clip=_read_clip_box(fields),
             sorted=fields.choice("blend", ("alpha", "declared")) == "alpha",
         ),
-        inputs=fields.mapping("inputs"),
+        inputs=inputs,
+        keys=keys,
         where=fields.where,
     )
     fields.close()
@@ -339,8 +355,39 @@ def _read_fov(fields: Fields) -> float | None:
     return degrees
 
 
-def _camera(fields: Fields, folder: Path) -> str | Camera | None:
+def _span(fields: Fields, last: float) -> Span | None:
+    """Return the timeline, by default up to the last key frame."""
+    if not fields.has_field("timeline"):
+        return Span(last) if last > 0 else None
+    nested_fields = fields.nested_fields("timeline")
+    seconds = nested_fields.number("seconds", low=0)
+    fps = nested_fields.number("fps", low=0.1, high=100)
+    loop = nested_fields.switch("loop")
+    nested_fields.close()
+    length = last if seconds is None else seconds
+    if not length > 0:
+        nested_fields.refuse("seconds", "is 0, expected a number above 0, or key frames")
+    return Span(length, fps or DEFAULT_FPS, loop)
+
+
+def _keyed_place(value: object) -> list[float] | None:
+    """Return the numbers of an orbit, or of an eye and a target; None of other values."""
+    if value == "orbit":
+        return [30.0, 20.0]
+    form, _, text = value.partition(":") if isinstance(value, str) else ("", "", "")
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        return None
+    is_place = len(numbers) in {"orbit": (2, 3), "look-at": (6,)}.get(form, ())
+    return numbers if is_place and np.isfinite(numbers).all() else None
+
+
+def _camera(fields: Fields, folder: Path) -> str | Camera | KeyFrames | None:
     value = fields.text_or("camera", dict, "an object")
+    if isinstance(value, dict) and isinstance(value.get("keys"), list):
+        form = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY,TZ"
+        return fields.nested_fields("camera").key_frames(_keyed_place, form)
     if isinstance(value, dict):
         try:
             return Camera.from_dict(value)

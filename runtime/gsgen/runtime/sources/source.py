@@ -35,6 +35,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSplatSet
 from gsgen.runtime.sources.framing import Box, box_around, union_of_boxes
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
+from gsgen.runtime.sources.key_frames import Animation
 from gsgen.runtime.sources.mesh_files import read_mesh
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class Source(ABC):
         pools: Pools whose tiles are drawn with the Gaussians.
         seconds: Seconds that the current frame took to compute.
         files: The files of a sequence, one per frame; empty for other sources.
+        animation: The timeline of a scene file, with key frames of inputs; None without.
     """
 
     name: str
@@ -92,6 +94,7 @@ class Source(ABC):
     pools: tuple[PooledSplatSet, ...] = ()
     seconds: float = 0.0
     files: Sequence[Path] = ()
+    animation: Animation | None = None
     _extent: tuple[Center, float] | None = None
 
     @abstractmethod

@@ -124,7 +124,9 @@ def render(
     from gsgen.cli.commands.drawing.input_files import input_files, refuse_inputs, scene_inputs
     from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files, training_camera
     from gsgen.formats.shared.origins import parse_origin
+    from gsgen.runtime.media.deep_pictures import EXR_SUFFIX
     from gsgen.runtime.media.output_formats import require_output_format
+    from gsgen.runtime.media.pictures import IMAGE_SUFFIXES
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
@@ -167,6 +169,9 @@ def render(
         is_published = wsr == "published"
         if is_published:
             _require_weighted_sums(sources)
+        is_still = output.suffix.lower() in (*IMAGE_SUFFIXES, EXR_SUFFIX)
+        if view.span is not None and is_still and not view.cameras:
+            frames = frames or 1  # a picture of a timeline is that of its start
         sequence = FrameSequence(
             sources,
             view,

@@ -126,10 +126,11 @@ export function readScene(document, name, warn) {
   const timeline = fields.nested("timeline");
   const keyed = [camera, ...models.flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
   const last = Math.max(0, ...keyed.flatMap(({ keys }) => keys.map(({ at }) => at)));
-  const seconds = timeline?.read("seconds", (value) => isNumber(value) && value > 0, "a number above 0") ?? last;
+  const seconds = timeline?.read("seconds", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? last;
   timeline?.read("fps", within(0.1, 100), "a number from 0.1 to 100");
   const loop = timeline?.read("loop", (value) => typeof value === "boolean", "true or false") ?? false;
   timeline?.close();
+  if (timeline && !seconds) timeline.refuse("seconds", "is 0, expected a number above 0, or key frames");
   fields.close();
   return { models, camera, background, up, fieldOfView, seconds, loop };
 }

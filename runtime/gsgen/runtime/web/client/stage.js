@@ -13,6 +13,8 @@ import { orbitOf, readScene } from "./scene_file.js";
 import { sourceFile } from "./source_files.js";
 import { nearestWord } from "./words.js";
 
+const INDICES = ["frame_index", "appearance_id"]; // roles of whole numbers
+
 /** @type {symbol} */
 const CLOCK = Symbol("seconds"); // the name of a stage's time, which no input of a model has
 
@@ -134,8 +136,8 @@ export class Stage {
     const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
     for (const { model, transform, inputs } of this.entries) {
-      const keyed = Object.entries(inputs).map(([name, value]) => [name, isKeyed(value) ? valueAt(value.keys, seconds) : value]);
-      const all = { ...this._ownTime(model, seconds), ...values, ...Object.fromEntries(keyed) };
+      const [keyed, fixed] = split(inputs, seconds, model);
+      const all = { ...this._ownTime(model, seconds), ...keyed, ...values, ...fixed };
       isChanged = (await model.update(all, localCamera(camera, transform))) || isChanged;
     }
     return this._place() || isChanged;
@@ -177,6 +179,20 @@ export class Stage {
   destroy() {
     for (const { model } of this.entries) model.destroy();
   }
+}
+
+/** Return the values of inputs with key frames at a time, and those of the others. */
+function split(inputs, seconds, { inputs: specs }) {
+  const [keyed, fixed] = [{}, {}];
+  for (const [name, value] of Object.entries(inputs)) {
+    if (!isKeyed(value)) fixed[name] = value;
+    else {
+      const numbers = valueAt(value.keys, seconds);
+      const spec = specs.find((each) => each.name === name) ?? specs.find((each) => each.role === name);
+      keyed[spec.name] = INDICES.includes(spec.role) ? numbers.map(Math.round) : numbers;
+    }
+  }
+  return [keyed, fixed];
 }
 
 /** Return a set of a model at its place on the stage. */
