@@ -15,6 +15,9 @@ const PAUSES = [0, 250, 500, 1000, 2000, 4000];
 
 let hasWorked = false; // a device of this page
 
+/** This browser or this machine has no WebGPU. */
+export class WebGpuMissing extends GsgenError {}
+
 async function requestAdapter() {
   for (const pause of hasWorked ? PAUSES : [0]) {
     if (pause) await new Promise((resolve) => setTimeout(resolve, pause));
@@ -27,15 +30,15 @@ async function requestAdapter() {
 /** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {
   if (!navigator.gpu) {
-    throw new GsgenError("this browser has no WebGPU", {
+    throw new WebGpuMissing("this browser has no WebGPU", {
       hint: "Use a current Chrome, Edge, Safari or Firefox, over https or on localhost.",
     });
   }
   const adapter = await requestAdapter();
   if (!adapter) {
-    throw new GsgenError(hasWorked ? "the graphics device was lost" : "the browser found no graphics adapter", {
-      hint: "Switch hardware acceleration on, or update the graphics driver.",
-    });
+    const hint = "Switch hardware acceleration on, or update the graphics driver.";
+    if (hasWorked) throw new GsgenError("the graphics device was lost", { hint });
+    throw new WebGpuMissing("the browser found no graphics adapter", { hint });
   }
   const requiredLimits = Object.fromEntries(WANTED_LIMITS.map((name) => [name, adapter.limits[name]]));
   const requiredFeatures = WANTED_FEATURES.filter((name) => adapter.features.has(name));

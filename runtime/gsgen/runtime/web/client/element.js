@@ -3,17 +3,16 @@
 import { Annotations } from "./annotations.js";
 import { AttributedElement } from "./attributed_element.js";
 import { computedColor } from "./attributes.js";
+import { sharedBackend } from "./backend.js";
 import { ControlListener } from "./controls.js";
 import { ElementView } from "./element_view.js";
 import { GsgenError } from "./errors.js";
-import { openModel } from "./model.js";
 import { OrbitCamera, orbitProblem } from "./orbit_camera.js";
-import { sharedKernels } from "./shared.js";
-import { ShownModel } from "./shown_model.js";
 import { candidatesOf, canShow, sourceFile } from "./source_files.js";
 import { nearestWord, written } from "./words.js";
 
 /** @typedef {"empty" | "loading" | "ready" | "failed"} State */
+/** @typedef {import("./shown_model.js").ShownModel} ShownModel */
 
 const MOST_PIXELS_PER_CSS = 2;
 const MINUTE = 60_000; // milliseconds
@@ -585,12 +584,11 @@ export class GsgenModel extends AttributedElement {
       this._view.showProgress(loaded, total);
       this._tell("progress", { loaded, total });
     };
-    const [kernels, bytes] = await Promise.all([sharedKernels(), file.bytes(progress, signal)]);
-    const pipeline = await kernels.presenting;
+    const [backend, bytes] = await Promise.all([sharedBackend(), file.bytes(progress, signal)]);
     signal.throwIfAborted();
-    kernels.device.lost.then((loss) => signal.aborted || this._lose(loss));
+    backend.lost.then((loss) => signal.aborted || this._lose(loss));
     const name = this.getAttribute("name") ?? source;
-    const model = await openModel(kernels, bytes, name, {
+    const options = {
       source,
       target: this.target,
       pictures: this.pictures,
@@ -600,15 +598,8 @@ export class GsgenModel extends AttributedElement {
       signal,
       onWarning: (where, problem) => this._complain(where, problem),
       onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
-    });
-    const count = model.missingPictures ?? 0;
-    if (count) {
-      model.destroy();
-      throw new GsgenError(`is computed from ${count} ${count === 1 ? "picture" : "pictures"}, expected as many`, {
-        where: name, hint: 'Set the attribute images="a.png b.png", or drop files on it.',
-      });
-    }
-    const shown = new ShownModel(kernels, model, pipeline, file, () => this._requestFrame());
+    };
+    const shown = await backend.show(bytes, name, file, options);
     if (signal.aborted) return shown.destroy();
     this._prepare(shown);
     const [width, height] = this._size();
@@ -620,7 +611,7 @@ export class GsgenModel extends AttributedElement {
     [this._shown, this._kept, this._failedFrames] = [shown, null, 0];
     this._view.hideProgress();
     this._view.showPoster(null);
-    this._view.say(`Loaded: ${this.getAttribute("alt") ?? name}`);
+    this._view.say(`Loaded${backend.note}: ${this.getAttribute("alt") ?? name}`);
     this._timeChanged();
     this._checkInputs();
     if (failure) return this._fail(failure);
@@ -646,11 +637,11 @@ export class GsgenModel extends AttributedElement {
 
   /** Tell that the model is shown, at first or again. */
   _succeed() {
-    const { model } = /** @type {ShownModel} */ (this._shown);
+    const { model, renderedBy } = /** @type {ShownModel} */ (this._shown);
     const isRecovery = this._isBack || this._state === "failed";
     this._isBack = false;
     this._view.showError(null);
-    this.report = { manifest: model.manifest ?? null, errors: [], findings: model.findings ?? [] };
+    this.report = { manifest: model.manifest ?? null, errors: [], findings: model.findings ?? [], renderedBy };
     this._enter("ready");
     this._tell(isRecovery ? "recover" : "load", { count: model.buffers.count });
     this._settleReady();

@@ -1,7 +1,7 @@
 /** Judges a model by the rules of the contract that need neither a run, nor ONNX, nor other files. */
 
 import * as contract from "./contract_rules.js";
-import { failing } from "./errors.js";
+import { GsgenError, failing } from "./errors.js";
 import { Message } from "./onnx_file.js";
 
 /** @typedef {{rule: string, severity: string, where: string, actual: string, expected: string,
@@ -36,4 +36,33 @@ export function findingsOf(subject) {
     findings.push(...known.map((violation) => ({ rule: id, severity, hint, limit: rule.limit, ...violation })));
   }
   return findings;
+}
+
+/**
+ * Return what is known of a generator before it runs; throw where it breaks a rule.
+ * @param {Uint8Array} bytes
+ */
+export function inspectedGenerator(bytes, name, target) {
+  const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
+  let subject, findings;
+  try {
+    subject = inspected(bytes, { name, target });
+    findings = findingsOf(subject);
+  } catch (error) {
+    if (error instanceof RangeError) fail(`is not a whole ONNX file: ${error.message}`);
+    throw error;
+  }
+  // Whether a model exceeds the limits of the target is for the device to say.
+  const fatal = findings.find(({ severity, limit }) => severity === "error" && !limit);
+  if (fatal) {
+    const { rule, where, actual, expected, hint } = fatal;
+    const command = "All rules: gsgen validate MODEL";
+    throw new GsgenError(`${where}: ${actual}, expected ${expected}`, {
+      where: name, hint: `${hint} ${command}`, rule, findings,
+    });
+  }
+  const { kind, manifest: { extensions_required: required } } = subject;
+  if (!subject.generator) fail(`is a ${kind}, expected a gaussian-generator`, "Show a generator.");
+  if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
+  return { subject, manifest: JSON.parse(subject.file.manifest_text), findings };
 }

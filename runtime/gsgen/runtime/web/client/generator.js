@@ -5,20 +5,17 @@
  * kernel copies rows that no page can bind, such as three float32 numbers.
  */
 
-import { GsgenError, failing } from "./errors.js";
-import { findingsOf, inspected } from "./findings.js";
+import { failing } from "./errors.js";
+import { inspectedGenerator } from "./findings.js";
+import { SURVEY_CAMERA, surveyedValues, timeOf, upOf } from "./generator_inputs.js";
 import { GeneratorSession } from "./generator_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
-import { IDENTITY, plus } from "./matrices.js";
-import { extentOf } from "./model.js";
+import { IDENTITY } from "./matrices.js";
+import { extentOf, mergedExtent } from "./model.js";
 import { pictureValues } from "./pictures.js";
 import { evaluate } from "./plan.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
-
-const FRAMES = 100; // of a time that declares none
-const FRAMES_PER_SECOND = 25;
-const SURVEYED = 4; // moments of the time that the camera is placed for
 
 /** The outputs of a session as pages. */
 class GeneratorBuffers {
@@ -115,31 +112,10 @@ class GeneratorBuffers {
 
 /** A generator in a page. */
 export class GeneratorModel {
-  /** @param {{target?: string, pictures?: (Blob | string)[]}} [options] */
-  static async open(kernels, data, name, { target, pictures = [] } = {}) {
+  static async open(kernels, data, name, options = /** @type {{target?: string, pictures?: (Blob | string)[]}} */ ({})) {
+    const { target, pictures = [] } = options;
     const bytes = new Uint8Array(data);
-    const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
-    let subject, findings;
-    try {
-      subject = inspected(bytes, { name, target });
-      findings = findingsOf(subject);
-    } catch (error) {
-      if (error instanceof RangeError) fail(`is not a whole ONNX file: ${error.message}`);
-      throw error;
-    }
-    // Whether a model exceeds the limits of the target is for the device to say.
-    const fatal = findings.find(({ severity, limit }) => severity === "error" && !limit);
-    if (fatal) {
-      const { rule, where, actual, expected, hint } = fatal;
-      const command = "All rules: gsgen validate MODEL";
-      throw new GsgenError(`${where}: ${actual}, expected ${expected}`, {
-        where: name, hint: `${hint} ${command}`, rule, findings,
-      });
-    }
-    const { kind, manifest: { extensions_required: required } } = subject;
-    if (!subject.generator) fail(`is a ${kind}, expected a gaussian-generator`, "Show a generator.");
-    if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
-    const manifest = JSON.parse(subject.file.manifest_text);
+    const { subject, manifest, findings } = inspectedGenerator(bytes, name, target);
     const session = await GeneratorSession.open(kernels, bytes, subject, manifest, name);
     const model = new GeneratorModel(kernels, session, manifest);
     model.findings = findings;
@@ -158,8 +134,7 @@ export class GeneratorModel {
     this.sets = [{ buffers: this.buffers, transform: IDENTITY }];
     this.inputs = manifest.inputs;
     this.followsCamera = this._inputs.followsCamera;
-    const axis = manifest.space?.up ?? "-y";
-    this.up = ["x", "y", "z"].map((letter) => (axis.endsWith(letter) ? (axis[0] === "-" ? -1 : 1) : 0));
+    this.up = upOf(manifest);
     this.time = timeOf(manifest.inputs);
     this.findings = [];
     this.extent = { center: [0, 0, 0], half: [1, 1, 1], reach: 1 };
@@ -196,18 +171,12 @@ export class GeneratorModel {
 
   /** Run some moments, and find a box around the Gaussians of all. */
   async _survey() {
-    const { time } = this;
-    const camera = { view: [...IDENTITY], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01 };
     const boxes = [];
-    for (let moment = 0; moment < (time ? SURVEYED : 1); moment++) {
-      const value = time && time.low + ((time.high - time.low) * moment) / SURVEYED;
-      await this.update(time ? { [time.name]: value } : {}, camera);
+    for (const values of surveyedValues(this.time)) {
+      await this.update(values, SURVEY_CAMERA);
       boxes.push(extentOf(await this._liveRows()));
     }
-    const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
-    const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
-    const half = plus(high, -1, low).map((side) => side / 2);
-    this.extent = { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
+    this.extent = mergedExtent(boxes);
   }
 
   /** Read the live rows back; only before the first picture. */
@@ -225,17 +194,4 @@ export class GeneratorModel {
     this.buffers.destroy();
     this._session.destroy();
   }
-}
-
-/** Return the time of a generator, or its frame number in place of one. */
-function timeOf(inputs) {
-  const spec =
-    inputs.find(({ role, range }) => role === "time" && range) ??
-    inputs.find(({ role, range }) => role === "frame_index" && range);
-  if (!spec) return null;
-  const [low, high] = spec.range;
-  const isNumber = spec.role === "frame_index";
-  const frames = spec.frames ?? (isNumber ? high - low + 1 : FRAMES);
-  const seconds = frames / (spec.fps ?? FRAMES_PER_SECOND);
-  return { name: spec.name, low, high, seconds, loop: Boolean(spec.loop), isWhole: isNumber };
 }

@@ -1,14 +1,17 @@
-/** The inputs of a generator: GPU buffers, and the conversion of values to their bytes. */
+/** The inputs of a generator: tensors, and the conversion of values to their numbers. */
 
 import { eyeOf } from "./camera.js";
 import { GsgenError } from "./errors.js";
 import { storageBuffer } from "./gpu_buffers.js";
-import { transposed4 } from "./matrices.js";
+import { IDENTITY, transposed4 } from "./matrices.js";
 
 const CAMERA_MATRICES = ["view", "projection"];
 const MATRICES = [...CAMERA_MATRICES, "image_view"];
 const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
 const ARRAYS = { float32: Float32Array, int32: Int32Array }; // the types that rules allow
+const SURVEYED = 4; // moments of the time that the camera is placed for
+const FRAMES = 100; // of a time that declares none
+const FRAMES_PER_SECOND = 25;
 
 /** Return the matrix camera → clip that generators receive, 4×4 row by row. */
 export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
@@ -19,6 +22,12 @@ export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
     0, 0, far / (far - near), (-near * far) / (far - near),
     0, 0, 1, 0,
   ];
+}
+
+/** Return the values of a camera by role. */
+function cameraValues(camera) {
+  const viewport = [camera.width, camera.height];
+  return { view: camera.view, projection: projectionOf(camera), camera_position: eyeOf(camera), viewport };
 }
 
 /** Return the default of an input, as the contract defines it for the input's role. */
@@ -48,22 +57,73 @@ function transposedMatrices(numbers) {
   return starts.flatMap((start) => transposed4([...numbers.slice(start, start + 16)]));
 }
 
-/** The input tensors of a session, in buffers that stay: a captured graph reads the same ones. */
+/** Return the time of a generator, or its frame number in place of one. @param {any[]} inputs */
+export function timeOf(inputs) {
+  const spec =
+    inputs.find(({ role, range }) => role === "time" && range) ??
+    inputs.find(({ role, range }) => role === "frame_index" && range);
+  if (!spec) return null;
+  const [low, high] = spec.range;
+  const isNumber = spec.role === "frame_index";
+  const frames = spec.frames ?? (isNumber ? high - low + 1 : FRAMES);
+  const seconds = frames / (spec.fps ?? FRAMES_PER_SECOND);
+  return { name: spec.name, low, high, seconds, loop: Boolean(spec.loop), isWhole: isNumber };
+}
+
+/** The camera of generators that follow one, before there is any. */
+export const SURVEY_CAMERA = Object.freeze({
+  view: [...IDENTITY], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01,
+});
+
+/** Return the values of the moments from which a model's extent is found. @param {ReturnType<typeof timeOf>} time */
+export function surveyedValues(time) {
+  const share = (moment) => time.low + ((time.high - time.low) * moment) / SURVEYED;
+  return time ? Array.from({ length: SURVEYED }, (_, moment) => ({ [time.name]: share(moment) })) : [{}];
+}
+
+/** Return the upward axis of a generator's space. */
+export function upOf({ space }) {
+  const axis = space?.up ?? "-y";
+  return ["x", "y", "z"].map((letter) => (axis.endsWith(letter) ? (axis[0] === "-" ? -1 : 1) : 0));
+}
+
+/** Input tensors in GPU buffers that stay: a captured graph reads the same ones. */
+export function gpuTensors(ort, device) {
+  return (name, dataType, dims) => {
+    const buffer = storageBuffer(device, `input ${name}`, 4 * dims.reduce((a, b) => a * b, 1));
+    const write = (array) => {
+      const bytes = new Uint8Array(Math.ceil(array.byteLength / 4) * 4);
+      bytes.set(new Uint8Array(array.buffer));
+      device.queue.writeBuffer(buffer, 0, bytes);
+    };
+    return { tensor: ort.Tensor.fromGpuBuffer(buffer, { dataType, dims }), write, destroy: () => buffer.destroy() };
+  };
+}
+
+/** Input tensors in the memory of the page. */
+export function pageTensors(ort) {
+  return (name, dataType, dims) => {
+    const data = new ARRAYS[dataType](dims.reduce((a, b) => a * b, 1));
+    return { tensor: new ort.Tensor(dataType, data, dims), write: (array) => data.set(array), destroy: () => {} };
+  };
+}
+
+/** The input tensors of a session, which stay. */
 export class GeneratorInputs {
-  constructor(device, ort, session, manifest) {
-    this._device = device;
+  /** @param {(name: string, type: string, dims: number[]) => any} makeTensor As `gpuTensors` returns it. */
+  constructor(session, manifest, makeTensor) {
     this._isTransposed = (manifest.space?.matrix_order ?? "column") === "column";
     const declared = new Map(manifest.inputs.map((spec) => [spec.name, spec]));
-    /** @type {Map<string, {spec: any, type: string, size: number, buffer: GPUBuffer, last: string}>} */
+    /** @type {Map<string, {spec: any, type: string, size: number, stored: any, last: string}>} */
     this._inputs = new Map();
     this.feeds = {};
     for (const { name, type, shape } of session.inputMetadata) {
       const spec = declared.get(name) ?? { name, role: "" };
       const dims = shape.map(Number);
       const size = dims.reduce((a, b) => a * b, 1);
-      const buffer = storageBuffer(device, `input ${name}`, 4 * size);
-      this._inputs.set(name, { spec, type, size, buffer, last: "" });
-      this.feeds[name] = ort.Tensor.fromGpuBuffer(buffer, { dataType: type, dims });
+      const stored = makeTensor(name, type, dims);
+      this._inputs.set(name, { spec, type, size, stored, last: "" });
+      this.feeds[name] = stored.tensor;
       this._write(name, defaultOf(spec, dims));
     }
   }
@@ -77,11 +137,10 @@ export class GeneratorInputs {
   /**
    * Write the values of a frame; return whether any input changed.
    * @param {Record<string, any>} values By name or role.
-   * @param {import("./camera.js").Camera} camera
+   * @param {import("./camera.js").Camera | null} [camera]
    */
-  update(values, camera) {
-    const [projection, viewport] = [projectionOf(camera), [camera.width, camera.height]];
-    const known = { view: camera.view, projection, camera_position: eyeOf(camera), viewport };
+  update(values, camera = null) {
+    const known = camera ? cameraValues(camera) : {};
     let isChanged = false;
     for (const [name, { spec }] of this._inputs) {
       const value = values[name] ?? values[spec.role] ?? known[spec.role];
@@ -117,15 +176,12 @@ export class GeneratorInputs {
     const key = ordered.join();
     if (key === input.last) return false;
     input.last = key;
-    const array = ARRAYS[type].from(ordered);
-    const bytes = new Uint8Array(Math.ceil(array.byteLength / 4) * 4);
-    bytes.set(new Uint8Array(array.buffer));
-    this._device.queue.writeBuffer(input.buffer, 0, bytes);
+    input.stored.write(ARRAYS[type].from(ordered));
     return true;
   }
 
   /** Release the buffers. */
   destroy() {
-    for (const { buffer } of this._inputs.values()) buffer.destroy();
+    for (const { stored } of this._inputs.values()) stored.destroy();
   }
 }

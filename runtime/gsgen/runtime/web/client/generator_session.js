@@ -7,7 +7,7 @@
 
 import { isCopy } from "./contract_rules.js";
 import { GsgenError } from "./errors.js";
-import { GeneratorInputs } from "./generator_inputs.js";
+import { GeneratorInputs, gpuTensors } from "./generator_inputs.js";
 import { storageBuffer } from "./gpu_buffers.js";
 import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
 
@@ -32,7 +32,7 @@ export class GeneratorSession {
     if ((await ort.env.webgpu.device) !== device) {
       throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });
     }
-    const inputs = new GeneratorInputs(device, ort, captured ?? plain, manifest);
+    const inputs = new GeneratorInputs(captured ?? plain, manifest, gpuTensors(ort, device));
     const runs = { isCaptured: Boolean(captured), isStill };
     const session = new GeneratorSession(device, captured ?? plain, inputs, name, runs);
     if (plain && (captured || isStill)) {

@@ -1,12 +1,12 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
 import { parsedJson } from "./download.js";
-import { linearPart, times } from "./matrices.js";
+import { linearPart, plus, times } from "./matrices.js";
 import { readSplats } from "./splat_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
 
 const CROPPED = 0.02; // share of the centres, at each end of each axis, that framing ignores
-const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
+export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
 const SAMPLES = 50_000; // centres that an extent is found from
 
 /**
@@ -50,6 +50,14 @@ export function extentOf({ rows, count }) {
   const half = bounds.map(([low, high]) => (high - low) / 2);
   const reach = Math.hypot(...half) || 1;
   return { center: bounds.map(([low, high]) => (low + high) / 2), half, reach };
+}
+
+/** Return the extent of several moments. @param {ReturnType<typeof extentOf>[]} boxes */
+export function mergedExtent(boxes) {
+  const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
+  const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
+  const half = plus(high, -1, low).map((side) => side / 2);
+  return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
 }
 
 /** Return a quantile of sorted numbers, between two of them as NumPy has it. */

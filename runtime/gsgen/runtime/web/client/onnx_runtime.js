@@ -83,22 +83,27 @@ export const onnxRuntime = once(load);
 export const runInTurn = inTurns();
 
 /**
- * Open a session on a device.
+ * Open a session on a device, whose outputs stay in its buffers.
  * @param {GPUDevice} device
  * @returns {Promise<any>} The session; null if the model cannot be captured as a graph.
  */
 export async function openSession(ort, device, bytes, name, { capture }) {
   // Both are needed: the provider's option is what runs, the setting is what `env` tells.
   ort.env.webgpu.device = device;
+  const options = {
+    executionProviders: [{ name: "webgpu", device }],
+    preferredOutputLocation: "gpu-buffer",
+    enableGraphCapture: capture,
+  };
+  return createSession(ort, bytes, name, options, (refusal) => capture && /graph capture/i.test(refusal));
+}
+
+/** Create a session; return null where an error is expected. @param {(message: string) => boolean} [isExpected] */
+export async function createSession(ort, bytes, name, options, isExpected = () => false) {
   try {
-    const options = {
-      executionProviders: [{ name: "webgpu", device }],
-      preferredOutputLocation: "gpu-buffer",
-      enableGraphCapture: capture,
-    };
     return await runInTurn(() => ort.InferenceSession.create(bytes, options));
   } catch (refusal) {
-    if (capture && /graph capture/i.test(refusal.message)) return null;
+    if (isExpected(refusal.message)) return null;
     throw new GsgenError(`ONNX Runtime Web refuses the model: ${refusal.message}`, {
       where: name,
       hint: "See what is wrong: gsgen validate MODEL --target webgpu",

@@ -18,13 +18,20 @@ import { Renderer } from "./renderer.js";
  */
 
 /** Return the value of a model's time input; frame numbers are whole. */
-function timeValue({ time }, playback) {
+export function timeValue({ time }, playback) {
   return time.isWhole ? Math.min(Math.floor(playback.value), time.high) : playback.value;
 }
 
 /** Return linear light of a number in sRGB. */
 function linearOf(part) {
   return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+}
+
+/** Return the picture of a canvas, encoded. @param {OffscreenCanvas} canvas */
+export async function encodedCanvas(canvas, { type = "image/png", quality = undefined } = {}) {
+  const blob = await canvas.convertToBlob({ type, quality });
+  if (blob.type !== type) throw new GsgenError(`the browser encodes no ${type}`, { hint: "Take image/png." });
+  return blob;
 }
 
 export class ShownModel {
@@ -37,6 +44,8 @@ export class ShownModel {
    */
   constructor(kernels, model, pipeline, file, onStale) {
     this.kernels = kernels;
+    /** @type {"webgpu" | "webgl2"} */
+    this.renderedBy = "webgpu";
     this.model = model;
     this.file = file;
     this._pipeline = pipeline;
@@ -122,19 +131,17 @@ export class ShownModel {
    * @param {Look} look
    * @returns {Promise<Blob>}
    */
-  async picture(width, height, look, { type = "image/png", quality = undefined } = {}) {
+  async picture(width, height, look, encoding = {}) {
     const canvas = new OffscreenCanvas(width, height);
     const presenter = this.presenterOf(canvas);
     try {
-      const blob = await this._aside(async (renderer) => {
+      return await this._aside(async (renderer) => {
         const camera = this.orbit.camera(width, height);
         await this._drawWith(renderer, camera, look, { isWhole: true });
         if (this.isDestroyed) throw new GsgenError("the model was removed before its picture was drawn");
         this._show(presenter, renderer, camera, look);
-        return canvas.convertToBlob({ type, quality }); // at once: the next task finds an empty canvas
+        return encodedCanvas(canvas, encoding); // at once: the next task finds an empty canvas
       });
-      if (blob.type !== type) throw new GsgenError(`the browser encodes no ${type}`, { hint: "Take image/png." });
-      return blob;
     } finally {
       presenter.destroy();
     }

@@ -1,0 +1,148 @@
+/**
+ * Frames of a model as arrays, for renderers of other engines: `open(address)`, then `run(values)`.
+ *
+ * Generators run by ONNX Runtime Web, on the GPU or by WebAssembly in one thread; a splat file is
+ * one frame. Rows are the contract's: x y z opacity xx xy xz yy yz zz, ten float32 numbers each.
+ */
+
+import { download, parsedJson } from "./download.js";
+import { GsgenError, failing } from "./errors.js";
+import { GeneratorInputs, pageTensors, timeOf, upOf } from "./generator_inputs.js";
+import { FIRST_OF_ONNX } from "./model.js";
+import { IDENTITY } from "./matrices.js";
+import { createSession, onnxRuntime, runInTurn } from "./onnx_runtime.js";
+import { readSplats } from "./splat_files.js";
+
+/**
+ * The Gaussians of one moment; the next run may write the same arrays.
+ * @typedef {object} Frame
+ * @property {Float32Array} rows Ten numbers of each of `capacity` rows.
+ * @property {Float32Array} appearance SH by coefficient, or RGB: `channels` numbers of each row.
+ * @property {number} live Number of rows that are drawn, which are the first.
+ */
+/**
+ * @typedef {object} Frames
+ * @property {number} capacity Most rows of a frame.
+ * @property {number} channels
+ * @property {"sh" | "rgb"} space
+ * @property {"srgb" | "linear"} colorSpace
+ * @property {"classic" | "mip"} antialias
+ * @property {any[]} inputs As the manifest declares them.
+ * @property {ReturnType<typeof timeOf>} time The input that is the model's time.
+ * @property {readonly number[]} transform From the axes of the rows to the world, 4×4 row by row.
+ * @property {number[]} up
+ * @property {boolean} followsCamera
+ * @property {any} manifest Null of splat files.
+ * @property {any[]} findings
+ * @property {(values?: Record<string, any>, camera?: import("./camera.js").Camera) => Promise<Frame>} run
+ *     Computes a frame of values by name or role; inputs without a value keep their last one.
+ * @property {() => void} destroy
+ */
+
+const PROVIDERS = ["webgpu", "wasm"];
+
+/**
+ * Open a model from its address.
+ * @param {string} address
+ * @param {{provider?: "webgpu" | "wasm"}} [options] What computes frames of generators.
+ * @returns {Promise<Frames>}
+ */
+export async function open(address, options) {
+  return framesOf(await download(address), address, options);
+}
+
+/**
+ * Open a model from its bytes.
+ * @param {ArrayBuffer} data
+ * @param {string} name Address of the file, for messages.
+ * @param {{provider?: "webgpu" | "wasm"}} [options]
+ * @returns {Promise<Frames>}
+ */
+export async function framesOf(data, name, { provider = "webgpu" } = {}) {
+  if (!PROVIDERS.includes(provider)) failing("provider")(`is ${provider}, expected ${PROVIDERS.join(" or ")}`);
+  const bytes = new Uint8Array(data);
+  if (bytes[0] === FIRST_OF_ONNX) return generatorFrames(bytes, name, provider);
+  if (parsedJson(data)) failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a tileset or a scene, expected a generator or splats");
+  return stillFrames(await readSplats(data, name));
+}
+
+/** Return the one frame of a splat file. @param {import("./splat_buffers.js").Splats} splats @returns {Frames} */
+function stillFrames({ rows, appearance, channels, space, count, antialias, colorSpace, transform }) {
+  const frame = { rows, appearance: float32Of(appearance), live: count };
+  return {
+    capacity: rows.length / 10, channels, space, transform,
+    antialias: antialias ?? "classic",
+    colorSpace: colorSpace ?? "srgb",
+    inputs: [], time: null, up: [0, -1, 0], followsCamera: false, manifest: null, findings: [],
+    run: async () => frame,
+    destroy() {},
+  };
+}
+
+/** @returns {Promise<Frames>} */
+async function generatorFrames(bytes, name, provider) {
+  const { inspectedGenerator } = await import("./findings.js");
+  const { manifest, findings } = inspectedGenerator(bytes, name);
+  const { gaussians, appearance, count } = manifest.outputs;
+  if (manifest.blend === "wsr") {
+    failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a weighted sum, expected sorted Gaussians");
+  }
+  const ort = await onnxRuntime();
+  const session = await createSession(ort, bytes, name, { executionProviders: [provider] });
+  const inputs = new GeneratorInputs(session, manifest, pageTensors(ort));
+  const names = [gaussians, appearance, count].filter(Boolean).map((output) => output.name);
+  const run = async (values = {}, camera = null) => {
+    try {
+      return frameOf(await runInTurn(() => {
+        inputs.update(values, camera);
+        return session.run(inputs.feeds, names);
+      }));
+    } catch (error) {
+      if (error instanceof GsgenError) throw error;
+      throw new GsgenError(`the model fails: ${error.message}`, { where: name, hint: "See what is wrong: gsgen validate MODEL" });
+    }
+  };
+  const frameOf = (outputs) => {
+    const [rows, colors, live] = names.map((output) => outputs[output].data);
+    const drawn = live ? Math.min(Math.max(Number(live[0]), 0), gaussians.capacity) : gaussians.capacity;
+    return { rows: float32Of(rows), appearance: float32Of(colors), live: drawn };
+  };
+  const { outputMetadata } = session;
+  const [, channels] = outputMetadata.find((output) => output.name === appearance.name).shape;
+  return {
+    capacity: gaussians.capacity,
+    channels: Number(channels),
+    space: appearance.space,
+    colorSpace: appearance.color_space ?? "srgb",
+    antialias: manifest.antialias ?? "classic",
+    inputs: manifest.inputs,
+    time: timeOf(manifest.inputs),
+    transform: IDENTITY,
+    up: upOf(manifest),
+    followsCamera: inputs.followsCamera,
+    manifest, findings, run,
+    destroy() {
+      inputs.destroy();
+      session.release();
+    },
+  };
+}
+
+/** @type {Float32Array | null} The numbers of all float16 bits. */
+let float16Numbers = null;
+
+/** Return numbers as float32. @param {any} numbers Float32, or float16 as numbers or as their bits. */
+function float32Of(numbers) {
+  if (numbers instanceof Float32Array) return numbers;
+  const table = (float16Numbers ??= Float32Array.from({ length: 65536 }, (_, bits) => float16Number(bits)));
+  const bits = new Uint16Array(numbers.buffer, numbers.byteOffset, numbers.length);
+  return Float32Array.from(bits, (each) => table[each]);
+}
+
+/** Return the number of float16 bits: a sign, an exponent of 5 bits, a fraction of 10. */
+function float16Number(bits) {
+  const [sign, exponent, fraction] = [bits & 0x8000 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
+  if (exponent === 0) return sign * fraction * 2 ** -24;
+  if (exponent === 31) return fraction ? NaN : sign * Infinity;
+  return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
+}

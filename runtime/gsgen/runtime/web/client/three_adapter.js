@@ -1,0 +1,178 @@
+/**
+ * Gaussians for three.js: fills its `GaussianSplat` with frames of a model, on WebGPU or WebGL 2.
+ *
+ * three.js has no call for changing splats yet, so private buffers are written. The range of
+ * versions whose buffers are these is tested.
+ */
+
+import { GsgenError } from "./errors.js";
+import { composed, transposed4 } from "./matrices.js";
+
+/** The first and the last revision of three.js whose private buffers are known here. */
+export const THREE_REVISIONS = Object.freeze([187, 187]);
+
+const KERNEL = 0.3; // pixels² by which three.js widens Gaussians
+const C0 = 0.28209479177387814; // of the constant spherical harmonic
+const BAND_NUMBERS = [0, 9, 15, 21]; // coefficients of a band, of three colours
+const BAND_BYTES = [0, 12, 16, 24]; // in whole words
+
+/**
+ * Modules of three.js, if its bare names resolve otherwise than in the page's import map.
+ * @type {{load: (() => Promise<[any, any]>) | null}} A function that imports both:
+ *     `() => Promise.all([import("three/webgpu"), import("three/addons/objects/GaussianSplat.js")])`.
+ */
+export const threeSettings = { load: null };
+
+const NAMES = ["three/webgpu", "three/addons/objects/GaussianSplat.js"];
+
+/** Load three.js. @returns {Promise<{three: any, GaussianSplat: any}>} */
+export async function loadThree() {
+  const byName = () => Promise.all(NAMES.map((name) => import(/* @vite-ignore */ /* webpackIgnore: true */ name)));
+  const [first, last] = THREE_REVISIONS;
+  const hint = `Name three.js r${last} in the page's import map: three, three/webgpu, three/tsl and three/addons/.`;
+  let modules;
+  try {
+    modules = await (threeSettings.load ?? byName)();
+  } catch (error) {
+    throw new GsgenError(`three.js cannot be loaded: ${error.message}`, { hint });
+  }
+  const [three, { GaussianSplat }] = modules;
+  const revision = Number.parseInt(three.REVISION, 10);
+  if (!(revision >= first && revision <= last)) {
+    throw new GsgenError(`three.js is r${three.REVISION}, expected r${first} to r${last}`, { hint });
+  }
+  return { three, GaussianSplat };
+}
+
+/** A `GaussianSplat` of three.js that shows frames of a model. */
+export class ThreeGaussians {
+  /**
+   * @param {{three: any, GaussianSplat: any}} modules As `loadThree` returns them.
+   * @param {import("./frames.js").Frames} frames The model.
+   */
+  constructor({ three, GaussianSplat }, { capacity, channels, space, transform, antialias }) {
+    this._transform = transform;
+    /** Whether frames are filled again when the camera moves. */
+    this.needsCamera = antialias === "classic";
+    this._isSh = space === "sh";
+    this._channels = channels;
+    this._degree = this._isSh ? Math.min(Math.sqrt(channels / 3) - 1, 3) : 0;
+    const geometry = new three.BufferGeometry();
+    const add = (name, array, size) => geometry.setAttribute(name, new three.BufferAttribute(array, size));
+    add("position", new Float32Array(3 * capacity), 3);
+    add("covariance", new Float32Array(6 * capacity), 6);
+    add("color", new Uint8ClampedArray(4 * capacity), 4);
+    for (let band = 1; band <= this._degree; band++) {
+      const words = BAND_BYTES[band] / 4;
+      add(`sphericalHarmonics${band}`, new Uint32Array(words * capacity), words);
+    }
+    /** What scenes of three.js hold; its matrix maps the rows' axes to the world. */
+    this.object = new GaussianSplat(geometry);
+    this.object.applyMatrix4(new three.Matrix4().fromArray(transposed4([...transform])));
+    this.object.boundingSphere = new three.Sphere();
+    this._filled = 0;
+  }
+
+  /**
+   * Show a frame.
+   * @param {import("./frames.js").Frame} frame
+   * @param {import("./camera.js").Camera | null} [camera] With one, models that are not of
+   *     Mip-Splatting keep their opacity. Their frames have to be filled again when it moves.
+   */
+  fill({ rows, appearance, live }, camera = null) {
+    const widened = camera && this.needsCamera ? this._widening(camera) : [0, 0, 0, 0];
+    const { _buffers: buffers, splatGeometry } = this.object;
+    const stored = [buffers.centerRead, buffers.covarianceARead, buffers.covarianceBRead, buffers.colorRead];
+    // three.js replaces arrays when it first draws them by WebGL.
+    const attributes = stored.map(({ value }) => value);
+    const [centers, first, second, words] = attributes.map(({ array }) => array);
+    const colors = new Uint8ClampedArray(words.buffer, words.byteOffset, words.byteLength);
+    const positions = splatGeometry.getAttribute("position").array;
+    const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+    const { _channels: channels, _isSh: isSh } = this;
+    const [scale, offset] = isSh ? [255 * C0, 127.5] : [255, 0];
+    let widest = 0;
+    for (let row = 0; row < live; row++) {
+      const [from, to, color] = [10 * row, 4 * row, channels * row];
+      let isFinite = true;
+      for (let number = 0; number < 10; number++) isFinite &&= Math.abs(rows[from + number]) < Infinity;
+      if (!isFinite) {
+        centers.fill(0, to, to + 3);
+        positions.fill(0, 3 * row, 3 * row + 3);
+        colors[to + 3] = 0;
+        continue;
+      }
+      for (let axis = 0; axis < 3; axis++) {
+        const center = rows[from + axis];
+        centers[to + axis] = positions[3 * row + axis] = center;
+        if (center < low[axis]) low[axis] = center;
+        if (center > high[axis]) high[axis] = center;
+        colors[to + axis] = scale * appearance[color + axis] + offset;
+      }
+      colors[to + 3] = 255 * rows[from + 3];
+      const root = widened[0] * rows[from] + widened[1] * rows[from + 1] + widened[2] * rows[from + 2] + widened[3];
+      const extra = root * root;
+      first[to] = rows[from + 4] + extra;
+      first[to + 1] = rows[from + 5];
+      first[to + 2] = rows[from + 6];
+      first[to + 3] = rows[from + 7] + extra;
+      second[to] = rows[from + 8];
+      second[to + 1] = rows[from + 9] + extra;
+      widest = Math.max(widest, rows[from + 4], rows[from + 7], rows[from + 9]);
+    }
+    for (let row = live; row < this._filled; row++) colors[4 * row + 3] = 0;
+    this._filled = live;
+    for (let band = 1; band <= this._degree; band++) attributes.push(this._fillBand(band, appearance, live));
+    for (const attribute of attributes) {
+      attribute.needsUpdate = true;
+      if (attribute.pbo) attribute.pbo.needsUpdate = true;
+    }
+    this._bound(low, high, 2 * Math.sqrt(widest));
+    this.sort();
+  }
+
+  /**
+   * Return the plane of a camera whose square is what covariances are widened by.
+   *
+   * three.js widens by 0.3 pixels² and takes opacity for it, by which the light of a Gaussian stays
+   * √det Σ (Yu et al. 2023, "Mip-Splatting"). Elsewhere it is √det (Σ + 0.3): widened beforehand,
+   * a Gaussian has this light.
+   */
+  _widening({ view, fx, fy }) {
+    const pixel = Math.sqrt(KERNEL / (fx * fy)); // at depth 1, in world units
+    return composed(view, this._transform).slice(8, 12).map((part) => pixel * part);
+  }
+
+  /** Write the harmonics of a band as bytes. */
+  _fillBand(band, appearance, live) {
+    const attribute = this.object._buffers[`sphericalHarmonics${band}Attribute`];
+    const { buffer, byteOffset, byteLength } = attribute.array;
+    const bytes = new Uint8ClampedArray(buffer, byteOffset, byteLength);
+    for (let row = 0; row < live; row++) {
+      const [from, to] = [this._channels * row + 3 * band * band, BAND_BYTES[band] * row];
+      for (let index = 0; index < BAND_NUMBERS[band]; index++) bytes[to + index] = 128 * appearance[from + index] + 128;
+    }
+    this.object._sphericalHarmonicsInitialized = false;
+    return attribute;
+  }
+
+  _bound(low, high, margin) {
+    const { boundingSphere } = this.object;
+    if (!(low[0] <= high[0])) return;
+    const half = high.map((side, axis) => (side - low[axis]) / 2);
+    boundingSphere.center.fromArray(low.map((side, axis) => side + half[axis]));
+    boundingSphere.radius = Math.hypot(...half) + margin;
+  }
+
+  /** Sort in the next picture, however little the camera has turned. */
+  sort() {
+    this.object._sortInitialized = false;
+  }
+
+  /** Release its GPU memory. */
+  destroy() {
+    this.object.removeFromParent();
+    this.object.geometry.dispose();
+    this.object.material.dispose();
+  }
+}

@@ -1,0 +1,88 @@
+"""Pages of a browser without WebGPU, with three.js beside the client."""
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gsgen.runtime.checks.viewer_kit import on_screen
+from gsgen.runtime.oracle.render import render
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.web.onnxruntime_web import ORT_FILES
+from support.browser import launched, require_chromium, serving
+from support.commands import ROOT
+from support.web.packages import package
+from support.web.pages import CLIENT, unpacked
+
+WEBGL_FLAGS = (
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--disable-features=WebGPU",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
+THREE = "three-0.187.0"
+_GUIDE = (ROOT / "docs/guides/models-in-a-page.md").read_text("utf-8")
+[IMPORT_MAP] = re.findall(
+    r'(<script type="importmap">\n.*?three/addons/.*?</script>)', _GUIDE, re.DOTALL
+)
+"""The import map that the guide shows."""
+
+_STYLE = "<style>gsgen-model { display: block; width: 200px; height: 150px }</style>"
+
+_PICTURE = """async (value) => {
+  const element = document.querySelector("gsgen-model");
+  await element.ready;
+  if (value !== null) element.time = value;
+  const bytes = new Uint8Array(await (await element.toBlob()).arrayBuffer());
+  let text = "";
+  for (const byte of bytes) text += String.fromCharCode(byte);
+  return [btoa(text), element.camera];
+}"""
+
+
+def page_of(element: str, *, has_three: bool = True) -> bytes:
+    """Return a page with the client, an element, and three.js in its import map."""
+    head = '<!doctype html><meta charset="utf-8">' + (IMPORT_MAP if has_three else "")
+    client = "<script type=module src=/gsgen/gsgen.js></script>"
+    return f"{head}{client}{_STYLE}{element}".encode()
+
+
+@contextmanager
+def page_without_webgpu(contents: dict[str, bytes], ort_folder: Path) -> Iterator[tuple[Any, str]]:
+    """Yield a page of a browser without WebGPU, and the address of its server."""
+    contents |= {f"/gsgen/ort/{name}": (ort_folder / name).read_bytes() for name in ORT_FILES}
+    folders = {"gsgen": CLIENT, "three": package(THREE)}
+    with (
+        launched(require_chromium(), WEBGL_FLAGS) as browser,
+        serving(folders, contents) as address,
+    ):
+        page = browser.new_context(viewport={"width": 320, "height": 240}).new_page()
+        page.set_default_timeout(120_000)
+        page.goto(f"{address}/none.html")
+        assert not page.evaluate(
+            "async () => navigator.gpu && (await navigator.gpu.requestAdapter())"
+        )
+        yield page, address
+
+
+def element_picture(page: Any, time: float | None = None) -> tuple[np.ndarray, Camera]:
+    """Return the picture of a page's element at a value of its time, and the camera."""
+    text, camera = page.evaluate(_PICTURE, time)
+    image = Image.open(io.BytesIO(unpacked(text, np.uint8).tobytes()))
+    names = ("fx", "fy", "cx", "cy", "width", "height", "near")
+    view = np.reshape(camera["view"], (4, 4))
+    lens = {name: camera[name] for name in names}
+    return np.asarray(image, np.float64)[..., :3] / 255, Camera(view=view, **lens)
+
+
+def python_picture(scene: Scene, camera: Camera) -> np.ndarray:
+    """Return the picture of a scene by the float64 renderer, as a screen shows it."""
+    return on_screen(render(scene, camera).rgba, scene)
