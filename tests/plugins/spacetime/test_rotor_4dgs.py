@@ -129,12 +129,25 @@ def change(run: Path, index: int, value: Any) -> None:
         (0, 4, "and the active degree 4"),
         (16, 1.0, "value 16 of capture() is a float, expected bool"),
         (18, 3, "time degree 3 does not fit 48"),
+        (15, torch.empty(0), "right_rotation is [0], expected [3, 4]"),
     ],
 )
 def test_invalid_checkpoint_is_named(index: int, value: Any, message: str, tmp_path: Path) -> None:
     change(write_rotor(tmp_path, count=3), index, value)
     with pytest.raises(CheckpointInvalid, match=re.escape(message)):
         read_rotor(tmp_path)
+
+
+def test_checkpoint_without_rot_4d_has_no_second_quaternion(tmp_path: Path) -> None:
+    run = write_rotor(tmp_path, count=3, rot_4d=False)
+    (path,) = run.glob("chkpnt*.pth")
+    values, _ = torch.load(path, weights_only=True)
+    assert values[15].shape == (0,)
+    read = read_rotor(run)
+    assert read.splats.right_rotation is None
+    assert "rotations of space alone" in read.describe()
+    change(run, 15, torch.zeros(3, 4))  # not used
+    assert torch.equal(read_rotor(run).splats.rotation, read.splats.rotation)
 
 
 def test_other_checkpoints_are_distinguished(

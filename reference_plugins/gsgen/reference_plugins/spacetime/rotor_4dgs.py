@@ -44,7 +44,7 @@ def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
     centre = (splats.temporal_centre.double() - start) / length
     scale = torch.exp(splats.log_scale.double())
     temporal_scale = torch.exp(splats.log_temporal_scale.double())
-    if not splats.rot_4d:  # the published code takes the scale of time for a variance
+    if splats.right_rotation is None:  # the published code takes the scale of time for a variance
         covariance = covariance_upper(scale, splats.rotation.double())
         zero_scale = torch.zeros_like(scale)
         return TimeSlices(

@@ -28,8 +28,10 @@ _BEST_FILE = "chkpnt_best.pth"
 # The values of capture() that are read: name → index and columns; all of N rows.
 _CHECKPOINT_FIELDS = {
     "position": (1, 3), "log_scale": (4, 3), "rotation": (5, 4), "logit_opacity": (6, 1),
-    "temporal_centre": (13, 1), "log_temporal_scale": (14, 1), "right_rotation": (15, 4),
+    "temporal_centre": (13, 1), "log_temporal_scale": (14, 1),
 }  # fmt: skip
+# Only there where ``rot_4d`` is on: without it, the training stores an empty tensor.
+_RIGHT_ROTATION_FIELD = {"right_rotation": (15, 4)}
 _CAPTURE_LENGTH, _STATIC_CAPTURE_LENGTH = 19, 12
 _DC_FIELD, _REST_FIELD, _ROT_4D_FIELD, _ENVIRONMENT_FIELD, _TIME_DEGREE = 2, 3, 16, 17, 18
 _SH_DEGREE = 3
@@ -55,12 +57,12 @@ class RotorSplats:
     rotation: Float[Tensor, "n 4"]  # left quaternion of the 4-D rotation, or that of space
     logit_opacity: Float[Tensor, "n 1"]  # opacity before the sigmoid
     temporal_centre: Float[Tensor, "n 1"]  # time of the highest opacity
-    # logarithm of the standard deviation in time; of the variance where ``rot_4d`` is off
+    # logarithm of the standard deviation in time; of the variance where space alone is rotated
     log_temporal_scale: Float[Tensor, "n 1"]
-    right_rotation: Float[Tensor, "n 4"]  # right quaternion of the 4-D rotation
+    # right quaternion of the 4-D rotation; None where space alone is rotated (``rot_4d`` off)
+    right_rotation: Float[Tensor, "n 4"] | None
     sh: Float[Tensor, "n k 3"]  # SH coefficients that do not change
     changing_sh: Float[Tensor, "n h k 3"]  # amplitudes of cos 2πt, cos 4πt, …
-    rot_4d: bool  # whether two quaternions rotate space and time
 
     def __len__(self) -> int:
         return self.position.shape[0]
@@ -80,7 +82,8 @@ class RotorCheckpoint:
         splats = self.splats
         harmonics = splats.changing_sh.shape[1]
         colors = f"with {harmonics} harmonics of time" if harmonics else "constant"
-        rotation = "4-D rotations" if splats.rot_4d else "rotations of space alone"
+        is_4d = splats.right_rotation is not None
+        rotation = "4-D rotations" if is_4d else "rotations of space alone"
         degree = int(splats.sh.shape[1] ** 0.5) - 1
         return (
             f"{self.path}: iteration {self.run.iteration}, {len(splats):,} Gaussians, {rotation}, "
@@ -167,12 +170,11 @@ def _describe_content(content: Any) -> str:
 
 
 def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
-    position = values[_CHECKPOINT_FIELDS["position"][0]]
+    fields = _CHECKPOINT_FIELDS | (_RIGHT_ROTATION_FIELD if values[_ROT_4D_FIELD] else {})
+    position = values[fields["position"][0]]
     count = position.shape[0] if isinstance(position, Tensor) and position.ndim else None
-    expected: dict[str, Shape] = {
-        name: (count, columns) for name, (_, columns) in _CHECKPOINT_FIELDS.items()
-    }
-    state = {name: values[index] for name, (index, _) in _CHECKPOINT_FIELDS.items()}
+    expected: dict[str, Shape] = {name: (count, columns) for name, (_, columns) in fields.items()}
+    state = {name: values[index] for name, (index, _) in fields.items()}
     state |= {"f_dc": values[_DC_FIELD], "f_rest": values[_REST_FIELD]}
     expected |= {"f_dc": (count, 1, 3), "f_rest": (count, None, 3)}
     tensors = require_tensors(path, state, expected)
@@ -197,8 +199,7 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     blocks = sh[:, : stored_coefficients // _SH_COEFFICIENTS * _SH_COEFFICIENTS]
     blocks = blocks.reshape(count, -1, _SH_COEFFICIENTS, 3)
     return RotorSplats(
-        **tensors,
+        **{"right_rotation": None, **tensors},
         sh=blocks[:, 0, : (degree + 1) ** 2],
         changing_sh=blocks[:, 1 : 1 + harmonics],
-        rot_4d=values[_ROT_4D_FIELD],
     )

@@ -63,7 +63,7 @@ def write_rotor(
         4.2,  # extent of the scene
         duration[0] + length * share,
         torch.log(duration_scale) * (1 if rot_4d else 2),
-        right_rotor,
+        right_rotor if rot_4d else torch.empty(0),
         rot_4d,
         None,  # background
         coefficients // 16 - 1,
