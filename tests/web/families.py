@@ -42,6 +42,7 @@ _TRIGONOMETRY = 2e-3
 FAMILIES: Mapping[str, Family] = {
     "deformable-3dgs": Family(write=synthetic.write_deformable, tolerance=_TRIGONOMETRY),
     "duplex-gs": Family(write=synthetic.write_duplex, options={"blend": "wsr"}),
+    "ex4dgs": Family(write=synthetic.write_ex4dgs, tolerance=_TRIGONOMETRY),
     "gauhuman": Family(write=synthetic.write_gauhuman, has_motion=True, tolerance=_TRIGONOMETRY),
     "gaussian-avatars": Family(write=synthetic.write_gaussian_avatar),
     "hexplane-4dgs": Family(write=synthetic.write_hexplane),

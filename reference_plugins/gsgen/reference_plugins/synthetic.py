@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
     from gsgen.reference_plugins.octree_anygs.synthetic_anygs import write_anygs
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
+    from gsgen.reference_plugins.spacetime.synthetic_ex4dgs import write_ex4dgs
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
     from gsgen.reference_plugins.static.synthetic_surfels import write_surfels
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_anygs", "write_body",
-    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman", "write_gaussian_avatar",
+    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_ex4dgs", "write_gauhuman", "write_gaussian_avatar",
     "write_hexplane", "write_lgm", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
 ]  # fmt: skip
@@ -67,6 +68,7 @@ _MODULE_BY_NAME: Final = {
     "write_gauhuman": "gsgen.reference_plugins.people.synthetic_people",
     "write_lhm": "gsgen.reference_plugins.people.synthetic_people",
     "write_r3": "gsgen.reference_plugins.people.synthetic_people",
+    "write_ex4dgs": "gsgen.reference_plugins.spacetime.synthetic_ex4dgs",
     "write_rotor": "gsgen.reference_plugins.spacetime.synthetic_rotor",
     "write_spacetime": "gsgen.reference_plugins.spacetime.synthetic_spacetime",
     "write_surfels": "gsgen.reference_plugins.static.synthetic_surfels",

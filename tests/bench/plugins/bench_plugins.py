@@ -35,6 +35,8 @@ from gsgen.reference_plugins.people.lhm import LHM
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar import R3Avatar
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.spacetime.ex4dgs import Ex4DGS
+from gsgen.reference_plugins.spacetime.ex4dgs_checkpoint import read_ex4dgs
 from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
 from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
@@ -45,6 +47,7 @@ from gsgen.reference_plugins.synthetic import (
     PersonOptions,
     write_deformable,
     write_duplex,
+    write_ex4dgs,
     write_gauhuman,
     write_gaussian_avatar,
     write_hexplane,
@@ -190,6 +193,11 @@ def bench_rotor_4dgs(tmp_path: Path) -> None:
 def bench_spacetime_gaussians(tmp_path: Path) -> None:
     read = read_spacetime(write_spacetime(tmp_path / "run", count=100_000))
     measure(SpacetimeGaussians(read.splats), {"time": FRAME}, tmp_path)
+
+
+def bench_ex4dgs(tmp_path: Path) -> None:
+    read = read_ex4dgs(write_ex4dgs(tmp_path / "run", count=100_000, frames=300))
+    measure(Ex4DGS(read), {"time": FRAME}, tmp_path)
 
 
 def bench_sc_gs(tmp_path: Path) -> None:

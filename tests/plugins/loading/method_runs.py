@@ -17,6 +17,7 @@ from gsgen.reference_plugins.octree_anygs.anygs_checkpoint import read_anygs
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.spacetime.ex4dgs_checkpoint import read_ex4dgs
 from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
 from gsgen.reference_plugins.static.surfels import read_surfels
@@ -27,6 +28,7 @@ from gsgen.reference_plugins.synthetic import (
     write_anygs,
     write_deformable,
     write_duplex,
+    write_ex4dgs,
     write_gauhuman,
     write_gaussian_avatar,
     write_hexplane,
@@ -57,6 +59,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "gaussian-avatars": (lambda f: write_gaussian_avatar(f, count=4), read_gaussian_avatars),
     "sc-gs": (lambda f: write_sc_gs(f, count=4), read_sc_gs),
     "rotor-4dgs": (lambda f: write_rotor(f, count=4), read_rotor),
+    "ex4dgs": (lambda f: write_ex4dgs(f, count=4), read_ex4dgs),
     "spacetime-gaussians": (lambda f: write_spacetime(f, count=4, full=True), read_spacetime),
     "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
     "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),

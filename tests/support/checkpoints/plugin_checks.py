@@ -1,6 +1,7 @@
 """Compare a generator, eager or exported, with what its method computes."""
 
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -40,7 +41,12 @@ def camera(rng: np.random.Generator, distance: float = 4.0, scale: float = 1.0) 
     return np.ascontiguousarray(view.T, np.float32)
 
 
-def assert_like(rows: np.ndarray, color: np.ndarray, expected: ExpectedGaussians) -> None:
+def assert_like(
+    rows: np.ndarray,
+    color: np.ndarray,
+    expected: ExpectedGaussians,
+    allowed: Mapping[str, float] = ALLOWED,
+) -> None:
     """Demand that drawn rows agree, and that others cannot be seen."""
     retained = expected.retained
     is_certain = np.ones(len(retained), bool) if expected.doubtful is None else ~expected.doubtful
@@ -55,7 +61,7 @@ def assert_like(rows: np.ndarray, color: np.ndarray, expected: ExpectedGaussians
     }
     for name, (values, target) in pairs.items():
         error = np.abs(values[both] - target[both]).max() / np.abs(target).max()
-        assert error <= ALLOWED[name] / MARGIN, (name, error)
+        assert error <= allowed[name] / MARGIN, (name, error)
     assert (rows[~retained & is_certain, 3] == 0).all()
 
 

@@ -1,4 +1,4 @@
-"""What SpacetimeGaussians and rotor 4DGS compute, Gaussian by Gaussian in float64.
+"""What SpacetimeGaussians, rotor 4DGS and Ex4DGS compute, Gaussian by Gaussian in float64.
 
 The functions read the files by themselves, and follow the formulas of the papers.
 """
@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from gsgen.contract.spec.spherical_harmonics import basis
+from gsgen.reference_plugins.loading.cfg_args import read_cfg_args
 from support.checkpoints.plugin_oracles import ExpectedGaussians
 
 
@@ -148,3 +149,91 @@ def rotor(
         **{name: np.array(value) for name, value in rows.items()},
         doubtful=np.abs(factors - 0.05) < 1e-5,
     )
+
+
+def ex4dgs(folder: Path, time: float, drift_duration: float | None = None) -> ExpectedGaussians:
+    """Ex4DGS (Lee et al. 2024), whose key frames are looked up at a time from 0 to 1."""
+    (path,) = folder.rglob("iteration_*/point_cloud.ply")
+    still, moving = raw_columns(path), raw_columns(path.with_name("dynamic_point_cloud.ply"))
+    cfg = read_cfg_args(folder).values
+    frame = time * (cfg["duration"] - 1)
+    is_line = cfg["interp_type"] == "linear"
+    shift = cfg["time_pad"] + (0 if is_line else cfg["time_interval"])
+    key = (frame + shift) / cfg["time_interval"]
+    rows: dict[str, list] = {name: [] for name in ("position", "opacity", "covariance", "color")}
+    doubtful = [False] * len(still["x"])
+    for row in range(len(still["x"])):
+        splat = {name: column[row] for name, column in still.items()}
+        centre, drift = (_parts(splat, name, 3) for name in ("", "xyz_disp_"))
+        rows["position"].append(centre + drift * frame / (drift_duration or cfg["duration"]))
+        rows["opacity"].append(1 / (1 + np.exp(-splat["opacity"])))
+        # The matrix of a quaternion that is not normalised: 1 − 2(…), not divided by its length.
+        q = _parts(splat, "rot_", 4)
+        turn = np.eye(3) + q @ q * (rotation_matrix(q) - np.eye(3))
+        rows["covariance"].append(_covariance(turn, _parts(splat, "scale_", 3)))
+        rows["color"].append(_coefficients(splat, ""))
+    for row in range(len(moving["motion_opacity"])):
+        splat = {name: column[row] for name, column in moving.items()}
+        whole = int(key)
+        share = key - whole
+        rows["position"].append(_interpolated(splat, whole, share, cfg["interp_type"]))
+        start, end = (
+            q / np.linalg.norm(q)
+            for q in (_parts(splat, f"motion_rot_{whole + i}_", 4) for i in range(2))
+        )
+        angle = np.arccos(np.clip(start @ end, 1e-4 - 1, 1 - 1e-4))
+        q = np.sin((1 - share) * angle) * start + np.sin(share * angle) * end
+        scale = _parts(splat, "motion_scale_", 3)
+        rows["covariance"].append(_covariance(rotation_matrix(q), scale))
+        first, last = sorted(_parts(splat, "motion_opacity_c_", 2))
+        width = np.exp(splat[f"motion_opacity_v_{int(key > first)}"])
+        width += cfg["var_pad"] / cfg["time_interval"] / 2.36
+        factor = 1.0 if first < key < last else np.exp(-(((key - last) / width) ** 2))
+        rows["opacity"].append(factor / (1 + np.exp(-splat["motion_opacity"])))
+        rows["color"].append(_coefficients(splat, "motion_"))
+        doubtful.append(min(abs(key - first), abs(key - last)) < 1e-5)
+    values = {name: np.array(value) for name, value in rows.items()}
+    retained = np.ones(len(doubtful), bool)
+    return ExpectedGaussians(retained, **values, doubtful=np.array(doubtful))
+
+
+def _parts(splat: dict[str, float], prefix: str, count: int) -> np.ndarray:
+    return np.array([splat[f"{prefix}{i}" if prefix else "xyz"[i]] for i in range(count)])
+
+
+def _covariance(rotation: np.ndarray, log_scale: np.ndarray) -> np.ndarray:
+    return upper(rotation @ np.diag(np.exp(2 * log_scale)) @ rotation.T)
+
+
+def _coefficients(splat: dict[str, float], prefix: str) -> np.ndarray:
+    """Return the SH coefficients of a splat, those of red, green and blue in turn."""
+    rest = [value for name, value in splat.items() if name.startswith(f"{prefix}f_rest_")]
+    dc = _parts(splat, f"{prefix}f_dc_", 3)
+    return np.concatenate([dc[None], np.reshape(rest, (3, -1)).T]).reshape(-1)
+
+
+def _interpolated(splat: dict[str, float], key: int, share: float, kind: str) -> np.ndarray:
+    """Return the centre between two key frames, by the four polynomials of Hermite."""
+    start, end = (_parts(splat, f"motion_xyz_{key + i}_", 3) for i in range(2))
+    if kind == "linear":
+        return (1 - share) * start + share * end
+    before, after = (_parts(splat, f"motion_xyz_{key + i}_", 3) for i in (-1, 2))
+    slopes = []
+    for left, right in ((start - before, end - start), (end - start, after - end)):
+        mean = (left + right) / 2
+        if kind == "pchip":
+            mean = np.array(
+                [
+                    2 / (1 / a + 1 / b) if a * b > 0 else 0.0
+                    for a, b in zip(left, right, strict=True)
+                ]
+            )
+        slopes.append(mean)
+    s = share
+    centre: np.ndarray = (
+        (2 * s**3 - 3 * s**2 + 1) * start
+        + (s**3 - 2 * s**2 + s) * slopes[0]
+        + (3 * s**2 - 2 * s**3) * end
+        + (s**3 - s**2) * slopes[1]
+    )
+    return centre

@@ -1,1 +1,1 @@
-"""Exports Gaussians that store their own motion: SpacetimeGaussians and rotor 4DGS."""
+"""Exports Gaussians that store their own motion: SpacetimeGaussians, rotor 4DGS and Ex4DGS."""

@@ -178,6 +178,7 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     state |= {"f_dc": values[_DC_FIELD], "f_rest": values[_REST_FIELD]}
     expected |= {"f_dc": (count, 1, 3), "f_rest": (count, None, 3)}
     tensors = require_tensors(path, state, expected)
+    right_rotation = tensors.pop("right_rotation", None)
     if not count:
         raise CheckpointInvalid("holds no Gaussians", where=str(path))
     sh = torch.cat([tensors.pop("f_dc"), tensors.pop("f_rest")], dim=1)
@@ -199,7 +200,8 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     blocks = sh[:, : stored_coefficients // _SH_COEFFICIENTS * _SH_COEFFICIENTS]
     blocks = blocks.reshape(count, -1, _SH_COEFFICIENTS, 3)
     return RotorSplats(
-        **{"right_rotation": None, **tensors},
+        **tensors,
+        right_rotation=right_rotation,
         sh=blocks[:, 0, : (degree + 1) ** 2],
         changing_sh=blocks[:, 1 : 1 + harmonics],
     )

@@ -17,6 +17,7 @@ FILTER_PROPERTY: Final = "filter_3D"
 _METHOD_PROPERTIES: Final = (
     ("SpacetimeGaussians", "spacetime-gaussians", re.compile(r"motion_\d+|omega_\d+|trbf_\w+")),
     ("GaussianAvatars", "gaussian-avatars", re.compile(r"binding_\d+")),
+    ("Ex4DGS", "ex4dgs", re.compile(r"xyz_disp_\d+|motion_(?:xyz|rot)_\d+_\d+")),
     ("rotor 4DGS", "rotor-4dgs", re.compile(r"scale_t|t_scale|rot_r_\d+|rotation_r_\d+")),
 )
 
