@@ -16,7 +16,10 @@ from gsgen.runtime.playback.scene_camera import scene_viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.scene_file import open_scene, read_scene
-from support.web.pages import WebSite, float32_result
+from gsgen.runtime.web.pages import ModelView
+from gsgen.runtime.web.serving import ModelServer
+from support.commands import gsgen_here
+from support.web.pages import WebSite, float32_result, running
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
 
@@ -204,3 +207,42 @@ def test_a_timeline_moves_cameras_and_inputs_like_python(
     assert np.abs(images[0] - images[1]).max() > 0.2
     for seconds, expected in zip((0, 1, 2), images, strict=True):
         assert decibels(picture(page, seconds), expected) >= _LEAST_DECIBELS
+
+
+def test_commands_put_a_scene_file_into_a_page(
+    browser: Any, folder: Path, renderer: Renderer, ort_folder: Path, tmp_path: Path
+) -> None:
+    """Once served, and drawn again when a model changes; once in a file that opens from disk."""
+    document = {
+        "models": [
+            "knot.ply",
+            {"path": "time-in-seconds.onnx", "translate": [-1.5, 0, 0], "inputs": {"time": 3}},
+        ],
+        "background": [0.1, 0.2, 0.3],
+        "camera": "look-at:0.4,-1.2,-7,0,0,0",
+        "fov": 40,
+    }
+    for name in ("knot.ply", "time-in-seconds.onnx"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    [expected] = rendered(tmp_path, document, renderer)
+    target, scene = tmp_path / "scene.html", tmp_path / "scene.json"
+    result = gsgen_here("export", "html", str(scene), "-o", str(target), "--ort", str(ort_folder))
+    assert result.code == 0, result.err
+    context = browser.new_context(viewport={"width": 300, "height": 200})
+    page = context.new_page()
+    page.set_default_timeout(90_000)
+    ready = "document.querySelector('gsgen-scene')?.report"
+    page.goto(target.as_uri())
+    page.wait_for_function(ready)
+    assert page.evaluate(f"{ready}.errors") == []
+    assert decibels(picture(page), expected) >= _LEAST_DECIBELS
+    with running(ModelServer([scene], ModelView(play=False), ort=ort_folder)) as address:
+        page.goto(address)
+        page.wait_for_function(ready)
+        assert page.evaluate(f"{ready}.errors") == []
+        assert decibels(picture(page), expected) >= _LEAST_DECIBELS
+        write_ply(tmp_path / "knot.ply", torus_knot(700, degree=0))
+        page.wait_for_function(
+            "document.querySelector('gsgen-scene').stage?.entries[0].model.buffers.count === 700"
+        )
+    context.close()

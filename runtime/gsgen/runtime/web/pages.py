@@ -5,6 +5,8 @@ __all__ = [
     "client_file",
     "client_names",
     "model_bytes",
+    "models_shown",
+    "scene_bytes",
     "served_page",
     "single_file_page",
 ]
@@ -12,7 +14,7 @@ __all__ = [
 import base64
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -29,6 +31,7 @@ from gsgen.formats.codecs import codec_of_suffix
 from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
+from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
 
 _CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
 _MODULE_PREFIX: Final = "gsgen/"
@@ -39,7 +42,7 @@ main { display: grid; gap: 1rem; min-height: 100vh; box-sizing: border-box; padd
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)) }
 figure { margin: 0; display: grid; grid-template-rows: 1fr auto; gap: .3rem }
 figcaption { color: #9aa0a6; font-size: .85rem }
-gsgen-model { aspect-ratio: auto; min-height: 20rem; height: 100% }
+gsgen-model, gsgen-scene { aspect-ratio: auto; min-height: 20rem; height: 100% }
 """
 
 
@@ -134,10 +137,42 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
         return target.read_bytes()
 
 
+def models_shown(paths: Iterable[Path]) -> list[Path]:
+    """Return the files of models that a page of files shows: those of scene files, and the others.
+
+    Raises:
+        SceneUnreadable: A scene file cannot be read.
+        GsgenError: A scene file is invalid, or names meshes alone.
+    """
+    models: list[Path] = []
+    for path in paths:
+        if not is_scene_file(path):
+            models.append(path)
+            continue
+        own_models = [model.path for model in read_scene(path).models]
+        if not own_models:
+            hint = f"`gsgen render {for_shell(str(path))} -o picture.png` draws it."
+            message = "has no models: pages draw no meshes"
+            raise SceneUnreadable(message, where=str(path), hint=hint)
+        models += own_models
+    return models
+
+
+def scene_bytes(path: Path, addresses: Sequence[str]) -> bytes:
+    """Return a scene file whose models have other addresses, one for each."""
+    document = json.loads(path.read_text("utf-8"))
+    document["models"] = [
+        {**(model if isinstance(model, dict) else {}), "path": address}
+        for model, address in zip(document["models"], addresses, strict=True)
+    ]
+    return json.dumps(document).encode()
+
+
 def served_page(models: Mapping[str, Path], view: ModelView) -> str:
     """Return the HTML page that shows the models at the given addresses of a server."""
     figures_html = [_figure_html(address, path, view) for address, path in models.items()]
-    script = '<script type="module" src="/gsgen/gsgen.js"></script>'
+    module = _module_of(models.values())
+    script = f'<script type="module" src="/gsgen/{module}"></script>'
     return _page_html(
         [path.name for path in models.values()], [script], figures_html, _RELOAD_SCRIPT
     )
@@ -149,7 +184,7 @@ let known = null;
 for (;;) {
   const response = await fetch("/versions").catch(() => null);
   const versions = response?.ok ? await response.json() : null;
-  for (const model of document.querySelectorAll("gsgen-model")) {
+  for (const model of document.querySelectorAll("gsgen-model, gsgen-scene")) {
     const address = model.getAttribute("src").split("?")[0];
     const version = versions?.[address];
     if (known && version && version !== known[address]) model.setAttribute("src", `${address}?${version}`);
@@ -183,9 +218,15 @@ def single_file_page(
         head.append(_inline_script("gsgen-ort", (ort / "ort.webgpu.bundle.min.mjs").read_bytes()))
         wasm = (ort / "ort-wasm-simd-threaded.asyncify.wasm").read_bytes()
         head.append(_inline_script("gsgen-ort-wasm", wasm))
-    head += [_inline_script(f"model-{i}", model_bytes(path, read)) for i, path in enumerate(models)]
+    for i, path in enumerate(models):
+        if not is_scene_file(path):
+            head.append(_inline_script(f"model-{i}", model_bytes(path, read)))
+            continue
+        parts = {f"model-{i}-{k}": part for k, part in enumerate(models_shown([path]))}
+        head += [_inline_script(name, model_bytes(part, read)) for name, part in parts.items()]
+        head.append(_inline_script(f"model-{i}", scene_bytes(path, [f"#{name}" for name in parts])))
     figures_html = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
-    start = '<script type="module">import "gsgen/gsgen.js";</script>'
+    start = f'<script type="module">import "gsgen/{_module_of(models)}";</script>'
     return _page_html([path.name for path in models], head, figures_html, start)
 
 
@@ -202,6 +243,11 @@ def _inlined_modules() -> dict[str, str]:
     return modules
 
 
+def _module_of(paths: Iterable[Path]) -> str:
+    """Return the module of the client that defines the elements of a page."""
+    return "scene.js" if any(map(is_scene_file, paths)) else "gsgen.js"
+
+
 def _inline_script(identifier: str, content: bytes) -> str:
     text = base64.b64encode(content).decode()
     return f'<script type="text/plain" id="{identifier}">{text}</script>'
@@ -214,9 +260,10 @@ def _figure_html(address: str, path: Path, view: ModelView) -> str:
         caption += f' <input type="file" accept="image/*" multiple aria-label="Pictures of {name}">'
     else:
         view = replace(view, images=())
+    tag = "gsgen-scene" if is_scene_file(path) else "gsgen-model"
     return (
-        f'<figure><gsgen-model src="{for_html(address)}" name="{name}" alt="{name}" '
-        f"{view.attributes()}></gsgen-model><figcaption>{caption}</figcaption></figure>"
+        f'<figure><{tag} src="{for_html(address)}" name="{name}" alt="{name}" '
+        f"{view.attributes()}></{tag}><figcaption>{caption}</figcaption></figure>"
     )
 
 

@@ -3,7 +3,7 @@
 __all__ = ["ModelServer"]
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from gsgen.contract.errors import GsgenError
 from gsgen.formats import open_splats
+from gsgen.runtime.sources.scene_file import is_scene_file
 from gsgen.runtime.web.local_server import LocalHandler, LocalServer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from gsgen.runtime.web.pages import (
@@ -20,6 +21,8 @@ from gsgen.runtime.web.pages import (
     client_file,
     client_names,
     model_bytes,
+    models_shown,
+    scene_bytes,
     served_page,
 )
 
@@ -39,7 +42,7 @@ class ModelServer(LocalServer):
     """Serves an HTML page of models on this machine.
 
     Args:
-        models: Files of the models.
+        models: Files of the models, and scene files.
         view: How they are shown.
         ort: Folder of ONNX Runtime Web; None without generators.
         port: Port; 0 takes one that is free.
@@ -76,7 +79,16 @@ class ModelServer(LocalServer):
         for address, path in pictures.items():
             self._content_readers[address] = partial(_file, path)
         for address, path in self._models.items():
-            self._content_readers[address] = partial(_model_content, path, read)
+            if not is_scene_file(path):
+                self._content_readers[address] = partial(_model_content, path, read)
+                continue
+            parts = {
+                f"{address}/{number}/{part.name}": part
+                for number, part in enumerate(models_shown([path]))
+            }
+            for part_address, part in parts.items():
+                self._content_readers[part_address] = partial(_model_content, part, read)
+            self._content_readers[address] = partial(_scene_content, path, parts)
 
     def content(self, path: str) -> ContentTypeAndBytes | None:
         """Return content type and bytes of the file at a URL path; None if no file is there."""
@@ -88,9 +100,23 @@ class ModelServer(LocalServer):
         versions = {}
         for address, path in self._models.items():
             if path.exists():
-                status = path.stat()
-                versions[quote(address)] = f"{status.st_mtime_ns}-{status.st_size}"
+                files = [path, *models_shown([path])] if is_scene_file(path) else [path]
+                versions[quote(address)] = "-".join(map(_version, files))
         return versions
+
+
+def _version(path: Path) -> str:
+    """Return a text that changes when a file changes."""
+    if not path.exists():
+        return "0"
+    status = path.stat()
+    return f"{status.st_mtime_ns}-{status.st_size}"
+
+
+def _scene_content(path: Path, parts: Mapping[str, Path]) -> ContentTypeAndBytes:
+    """Return a scene file; the addresses of its models change when their files change."""
+    addresses = [f"{quote(address)}?{_version(part)}" for address, part in parts.items()]
+    return "application/json", scene_bytes(path, addresses)
 
 
 def _client_content(name: str) -> ContentTypeAndBytes:

@@ -132,6 +132,8 @@ def view(
     _print_notes(viewpoint.notes)
     if viewpoint.times:
         _print_notes(["not used: the times of the cameras; the window plays the time"])
+    if viewpoint.keys is not None:
+        _print_notes(["not used: the key frames of the camera; --web plays them"])
     limits = options.model_limits(timeout, memory, trust=trust)
     with open_scenes(
         scenes,
@@ -230,7 +232,7 @@ def _serve_page(
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
     from gsgen.runtime.playback.picture_inputs import picture_files
     from gsgen.runtime.web.onnxruntime_web import ort_folder
-    from gsgen.runtime.web.pages import model_bytes
+    from gsgen.runtime.web.pages import model_bytes, models_shown
     from gsgen.runtime.web.serving import ModelServer
 
     for path in scenes:
@@ -240,8 +242,10 @@ def _serve_page(
                 where=str(path),
                 hint=f"--web serves a page; `gsgen export html SCENE -o {path.name}` writes one.",
             )
+    models = models_shown(scenes)
+    for path in models:
         model_bytes(path, read_splats)  # an unreadable file is an error here, not in the page alone
-    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
+    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
     folder = ort_folder(ort) if has_generator else None
     pictures = picture_files(images) if images else []
     try:

@@ -13,7 +13,8 @@ from gsgen.cli.output import echo
 
 def export_html(
     models: Annotated[
-        list[Path], typer.Argument(help="Splat files and generators.", show_default=False)
+        list[Path],
+        typer.Argument(help="Splat files, generators and scene files.", show_default=False),
     ],
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The page to write.", show_default=False)
@@ -43,7 +44,7 @@ def export_html(
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.onnxruntime_web import ort_folder
-    from gsgen.runtime.web.pages import ModelView, single_file_page
+    from gsgen.runtime.web.pages import ModelView, models_shown, single_file_page
 
     require_page(output, models)
     color = None if background is None else color_of(background, "--background")
@@ -53,8 +54,10 @@ def export_html(
         up=up,
         time=time,
     )
-    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
     try:
+        files = models_shown(models)
+        require_page(output, files)
+        has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in files)
         page = single_file_page(
             models, view, ort_folder(ort) if has_generator else None, read=read_splats
         )
