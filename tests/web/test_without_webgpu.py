@@ -10,16 +10,25 @@ import pytest
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.formats import open_splats, write_ply
 from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.runtime.baking import bake
 from gsgen.runtime.checks.level import scene_of
 from gsgen.runtime.scene.frame import psnr
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.sdk.binding import FrameSession
-from support.web.without_webgpu import element_picture, page_of, page_without_webgpu, python_picture
+from support.web.without_webgpu import (
+    element_picture,
+    frame_picture,
+    frames_page,
+    page_of,
+    page_without_webgpu,
+    python_picture,
+)
 
 pytestmark = pytest.mark.slow
 
 _ELEMENT = "document.querySelector('gsgen-model')"
+_SHARES = (0.0, 0.3, 0.7)
 _DECIBELS = 32  # three.js stores colours in bytes, widens each Gaussian, and sorts into 4,096 bins
 
 
@@ -31,10 +40,18 @@ def knot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(ort_folder: Path, knot: Path, walking_person: bytes) -> Iterator[tuple[Any, str]]:
+def page(
+    ort_folder: Path, knot: Path, walking_person: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Any, str]]:
     contents = {"/knot.ply": knot.read_bytes(), "/walk.onnx": walking_person}
     contents["/tileset.json"] = b'{"asset": {"version": "1.1"}}'
     contents["/none.html"] = b"<!doctype html>"
+    path = tmp_path_factory.mktemp("walk") / "walk.onnx"
+    path.write_bytes(walking_person)
+    for number, share in enumerate(_SHARES):
+        bake(path, path.with_name("frame.ply"), time=share)
+        contents[f"/{number}.ply"] = path.with_name("frame.ply").read_bytes()
+    frames_page(contents)
     poster = "poster='data:image/gif;base64,R0lGODlhAQABAAAAACw='"
     for name, element in {
         "knot": "<gsgen-model src=/knot.ply alt=Knot></gsgen-model>",
@@ -91,7 +108,7 @@ def test_a_generator_is_drawn_like_in_python_and_plays(
     pictures = []
     with FrameSession(path, provider="cpu") as session:
         assert isinstance(session.manifest, GeneratorManifest)
-        for time in (0.0, 0.3, 0.7):
+        for time in _SHARES:
             image, camera = element_picture(shown, time)
             outputs = session.run({"time": time}, copy=True)
             scene = scene_of(session.manifest, {name: outputs[name] for name in outputs})
@@ -100,6 +117,28 @@ def test_a_generator_is_drawn_like_in_python_and_plays(
     assert all(psnr(a, b) < 30 for a, b in pairwise(pictures))
     shown.evaluate(f"{_ELEMENT}.currentTime = 0; {_ELEMENT}.play(); null")
     shown.wait_for_function(f"{_ELEMENT}.currentTime > 0.2")
+
+
+def test_a_frame_in_three_is_as_good_as_its_baked_file(
+    page: tuple[Any, str], walking_person: bytes, tmp_path: Path
+) -> None:
+    """Three times, beside what three's own loader shows of the baked PLY."""
+    path = tmp_path / "walk.onnx"
+    path.write_bytes(walking_person)
+    shown, address = page
+    shown.goto(f"{address}/frames.html?webgl&provider=wasm")
+    shown.wait_for_function("window.walkTo")
+    with FrameSession(path, provider="cpu") as session:
+        assert isinstance(session.manifest, GeneratorManifest)
+        for number, share in enumerate(_SHARES):
+            outputs = session.run({"time": share}, copy=True)
+            scene = scene_of(session.manifest, {name: outputs[name] for name in outputs})
+            image, camera = frame_picture(shown, share)
+            baked, _ = frame_picture(shown, share, f"/{number}.ply")
+            expected = python_picture(scene, camera)
+            assert (expected > 0.2).mean() > 0.01
+            assert psnr(image, expected) >= psnr(baked, expected) - 1
+            assert psnr(baked, image) > 35
 
 
 @pytest.mark.parametrize(

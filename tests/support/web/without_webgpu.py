@@ -64,7 +64,9 @@ def page_without_webgpu(contents: dict[str, bytes], ort_folder: Path) -> Iterato
         launched(require_chromium(), WEBGL_FLAGS) as browser,
         serving(folders, contents) as address,
     ):
-        page = browser.new_context(viewport={"width": 320, "height": 240}).new_page()
+        page = browser.new_context(
+            viewport={"width": 320, "height": 240}, reduced_motion="reduce"
+        ).new_page()
         page.set_default_timeout(120_000)
         page.goto(f"{address}/none.html")
         assert not page.evaluate(
@@ -86,3 +88,44 @@ def element_picture(page: Any, time: float | None = None) -> tuple[np.ndarray, C
 def python_picture(scene: Scene, camera: Camera) -> np.ndarray:
     """Return the picture of a scene by the float64 renderer, as a screen shows it."""
     return on_screen(render(scene, camera).rgba, scene)
+
+
+_FRAME = """async ([share, ply]) => {
+  await walkTo(share);
+  let object = person.object;
+  if (ply) {
+    const { GaussianSplatPLYLoader } = await import("three/addons/loaders/GaussianSplatPLYLoader.js");
+    const { GaussianSplat } = await import("three/addons/objects/GaussianSplat.js");
+    object = new GaussianSplat(await new GaussianSplatPLYLoader().loadAsync(ply));
+    up.add(object);
+  }
+  person.object.visible = !ply;
+  renderer.setClearColor(0x000000, 1);
+  renderer.render(scene, camera);
+  const url = renderer.domElement.toDataURL();
+  if (ply) up.remove(object);
+  const elements = [camera.matrixWorldInverse, object.matrixWorld, camera.projectionMatrix];
+  return [url.slice(url.indexOf(",") + 1), elements.map((matrix) => matrix.elements)];
+}"""
+
+
+def frames_page(contents: dict[str, bytes]) -> str:
+    """Serve the example of frames in three.js, and return its path: WebGL 2 and WebAssembly."""
+    contents["/frames.html"] = (ROOT / "docs/examples/three/frames.html").read_bytes()
+    return "/frames.html?webgl&provider=wasm"
+
+
+def frame_picture(page: Any, share: float, ply: str = "") -> tuple[np.ndarray, Camera]:
+    """Return the example's picture at a share of the time, and the camera in the model's axes.
+
+    Args:
+        ply: Address of a file that three's own loader shows in place of the frame.
+    """
+    text, (view, world, projection) = page.evaluate(_FRAME, [share, ply])
+    image = np.asarray(Image.open(io.BytesIO(unpacked(text, np.uint8).tobytes())), np.float64)
+    height, width = image.shape[:2]
+    view, world, projection = (np.reshape(each, (4, 4)).T for each in (view, world, projection))
+    lens = {"fx": projection[0, 0] * width / 2, "fy": projection[1, 1] * height / 2}
+    place = {"cx": width / 2, "cy": height / 2, "width": width, "height": height, "near": 0.001}
+    camera = Camera(view=np.diag([1, -1, -1, 1]) @ view @ world, **lens, **place)
+    return image[..., :3] / 255, camera
