@@ -93,6 +93,7 @@ class Cloud(GaussianGenerator):
     """The parameters of 3DGS, with their activations as properties."""
 
     inputs: Any = (inputs.time(),)
+    capacity: int | None = None  # of a module whose frames have different numbers of Gaussians
 
     def __init__(self, n: int = N) -> None:
         super().__init__()
@@ -273,6 +274,7 @@ class NeuralAnchors(Cloud):
 
     inputs = (inputs.camera_position(),)
     count_semantics = "exact"
+    capacity = 10_000
 
     def __init__(self) -> None:
         super().__init__(1)

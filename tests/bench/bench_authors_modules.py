@@ -53,7 +53,9 @@ def _measure(kind: type[Cloud], folder: Path, *, is_live: bool) -> tuple[_Result
         level=Level.LIVE if is_live else Level.BEHAVIOUR, limits=Limits(seconds=900)
     )
     try:
-        exported = export(module, folder / "m.onnx", target="webgpu", settings=settings)
+        exported = export(
+            module, folder / "m.onnx", target="webgpu", settings=settings, capacity=kind.capacity
+        )
     except GsgenError as error:
         return _Result(is_exported=False), f"refused: {' '.join(str(error).split())[:300]}"
     is_captured = is_live and all(

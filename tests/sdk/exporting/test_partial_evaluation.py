@@ -121,6 +121,18 @@ def write_out_of_place(scene: Scene, time: Tensor) -> Tensor:
     return torch.zeros(4).index_put((torch.tensor([1]),), time)
 
 
+def one_of_each_row(scene: Scene, time: Tensor) -> Tensor:
+    candidates = torch.stack([scene.points + time, scene.points * time], 1)
+    chosen = nn.functional.one_hot(candidates[..., 0].argmax(-1), num_classes=2) > 0.5
+    return candidates[chosen, :].reshape(8, 3)
+
+
+def matrix_by_element(scene: Scene, time: Tensor) -> Tensor:
+    matrix = torch.zeros(8, 3, 3)
+    matrix[:, 0, 0] = scene.points[:, 0] * time
+    return matrix
+
+
 def chosen_from_a_list(scene: Scene, time: Tensor) -> Tensor:
     return [time, time + 1, time + 2][int(scene.parents[2])]
 
@@ -130,7 +142,7 @@ IDIOMS = [
     constant_mask_of_a_moving_tensor, write_by_a_constant_mask, value_by_a_moving_mask,
     row_by_a_moving_mask, inverse_of_a_constant, nearest_neighbours, number_of_a_constant,
     masked_mean, unique_rows, module_of_its_own, canvas_of_zeros, canvas_that_writes_another,
-    mixed_bounds, write_out_of_place, chosen_from_a_list,
+    mixed_bounds, write_out_of_place, chosen_from_a_list, one_of_each_row, matrix_by_element,
 ]  # fmt: skip
 
 

@@ -91,7 +91,9 @@ class PackedGenerator(nn.Module):
     def _padded(self, rows: Tensor, size: int | None = None) -> Tensor:
         missing = (self.packed.capacity if size is None else size) - rows.shape[0]
         rows = rows.to(self.packed.dtype)
-        return torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows
+        # A mask that an input reaches gives a number of rows that only the frame knows.
+        is_full = isinstance(missing, int) and not missing
+        return rows if is_full else torch.cat([rows, rows.new_zeros(missing, rows.shape[1])])
 
     def _count_tensor(self, gaussians: Gaussians) -> Tensor:
         n = gaussians.position.shape[0]

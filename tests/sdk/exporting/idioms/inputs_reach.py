@@ -72,6 +72,24 @@ def other_value_by_a_moving_mask(scene: Scene, time: Tensor) -> Tensor:
     return position
 
 
+def two_tensors_by_one_moving_mask(scene: Scene, time: Tensor) -> Tensor:
+    """As Scaffold-GS: several fields are selected by one mask, and joined."""
+    position = scene.moved(time)
+    mask = position[:, 0] > 0
+    joined = torch.cat([position[mask], scene.features[mask]], 1)
+    return scene.xyz + 0.1 * (joined[:, :3] + scene.xyz[mask]).sum(0)
+
+
+def matrices_filled_by_element(scene: Scene, time: Tensor) -> Tensor:
+    """As build_rotation of 3DGS: a matrix of each row."""
+    angle = scene.features[:, 0] + time
+    rotation = torch.zeros((POINTS, 3, 3))
+    rotation[:, 0, 0], rotation[:, 0, 1] = torch.cos(angle), -torch.sin(angle)
+    rotation[:, 1, 0], rotation[:, 1, 1] = torch.sin(angle), torch.cos(angle)
+    rotation[:, 2, 2] = 1
+    return (rotation @ scene.xyz[..., None])[..., 0]
+
+
 def one_true_in_each_row(scene: Scene, time: Tensor) -> Tensor:
     """As matrix_to_quaternion of pytorch3d: the candidate whose number is largest."""
     candidates = torch.stack([scene.moved(time), scene.xyz, scene.features[:, :3]], 1)
@@ -263,7 +281,8 @@ EXPORTED: tuple[Idiom, ...] = (
     value_by_a_moving_mask, row_by_a_moving_mask, rows_by_a_moving_mask,
     other_rows_by_a_moving_mask, elements_by_a_moving_mask, not_a_number_by_a_moving_mask,
     add_by_a_moving_mask, multiply_a_column_by_a_moving_mask, other_value_by_a_moving_mask,
-    one_true_in_each_row, mixed_clamp_bounds, clamp_by_a_numpy_number, clamp_by_a_tensor,
+    two_tensors_by_one_moving_mask, matrices_filled_by_element, one_true_in_each_row,
+    mixed_clamp_bounds, clamp_by_a_numpy_number, clamp_by_a_tensor,
     extremes_of_all, extremes_without_a_dimension, standard_deviation, variance_of_all,
     any_and_all, mean_by_scatter, mean_with_itself_by_scatter, sum_by_scatter,
     product_by_scatter, index_reduce_of_rows, accumulate_by_index_put, frame_by_index,

@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 
 from gsgen.contract.spec.units import format_bytes
 from gsgen.sdk.exporting.pipeline import FoldedConstants
+from gsgen.sdk.exporting.tracing.fixed_sizes import OneHotWithoutValues
 from gsgen.sdk.exporting.tracing.repeatability import find_unrepeatable
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
@@ -109,7 +110,7 @@ def fold_constants(module: nn.Module, inputs: Sequence[Tensor]) -> ConstantFoldi
         modes: list[_PartialEvaluation] = []
 
         def recorded(*tensors: Tensor) -> Any:
-            with _PartialEvaluation(tensors, written) as mode:
+            with OneHotWithoutValues(), _PartialEvaluation(tensors, written) as mode:
                 modes.append(mode)
                 return module(*tensors)
 
@@ -135,7 +136,7 @@ def _run(
     module: nn.Module, inputs: Sequence[Tensor], written: frozenset[int]
 ) -> "_PartialEvaluation":
     mode = _PartialEvaluation(inputs, written)
-    with mode:
+    with OneHotWithoutValues(), mode:
         module(*inputs)
     return mode
 
@@ -187,6 +188,8 @@ class _PartialEvaluation(TorchDispatchMode):  # type: ignore[no-untyped-call]
         args = self._replace_masks_by_indices(func, args)
         if is_tensor_reached and _is_masked_write(func, args):
             result = _write_values_by_mask(func, args)
+        elif is_tensor_reached and _is_one_of_each_row(func, args):
+            result = _select_one_of_each_row(*args)
         else:
             if is_tensor_reached:
                 _refuse_values(func, args)
@@ -249,6 +252,25 @@ def _write_values_by_mask(func: Any, args: Any) -> Tensor:
     result = result.to(target.dtype)
     is_in_place = func.overloadpacket is torch.ops.aten.index_put_
     return target.copy_(result) if is_in_place else result
+
+
+def _is_one_of_each_row(func: Any, args: Any) -> bool:
+    """Return whether ``x[mask]`` selects one element of each row, as of ``one_hot``.
+
+    That is so at the inputs of the trace; at others, the comparison with torch would tell.
+    """
+    if func is not torch.ops.aten.index.Tensor or len(args[1]) != 1 or not _is_mask(args[1][0]):
+        return False
+    (mask,) = args[1]
+    with disable_proxy_modes_tracing():
+        return mask.ndim == 2 and bool(mask.bool().sum(1).eq(1).all())
+
+
+def _select_one_of_each_row(values: Tensor, indices: Sequence[Tensor]) -> Tensor:
+    """Select by a sum of zeros and the selected element, whose size does not depend on the mask."""
+    (mask,) = indices
+    mask = mask.bool().reshape(*mask.shape, *[1] * (values.ndim - 2))
+    return torch.where(mask, values, 0).sum(1, dtype=values.dtype)
 
 
 def _with_float_bounds(func: Any, args: Any) -> Any:

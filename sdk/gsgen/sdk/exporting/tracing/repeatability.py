@@ -73,5 +73,7 @@ def _digest(func: Any, arguments: Any, result: Any) -> bytes:
     if not (func.is_view or "empty" in func.__name__):
         for leaf in tree_leaves(result):
             if isinstance(leaf, Tensor):
-                digest.update(leaf.detach().cpu().reshape(-1).view(torch.uint8).numpy().data)
+                digest.update(
+                    leaf.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().data
+                )
     return digest.digest()

@@ -5,7 +5,7 @@ __all__ = ["TensorNames", "TracedGenerator", "trace_generator", "trace_module"]
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
 from io import StringIO
 from typing import Any
@@ -21,6 +21,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.output_names import output_names
 from gsgen.sdk.authoring.packed_module import PackedGenerator
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
+from gsgen.sdk.exporting.tracing.fixed_sizes import SharedMasks
 from gsgen.sdk.exporting.tracing.hazards import Hazard, HazardKind, describe_hazard
 from gsgen.sdk.exporting.tracing.operator_watch import (
     OperatorWatch,
@@ -95,6 +96,10 @@ def trace_generator(
     try:
         model = trace_module(packed, example, names, opset, where=where, hazards=hazards)
     except ExportFailed as error:
+        if any(hazard.kind == "shape" for hazard in hazards):
+            with suppress(ExportFailed):  # the error of the plain module says more
+                shared = SharedMasks(packed)
+                return TracedGenerator(trace_module(shared, example, names, opset, where=where))
         folding = _fold_constants(packed, example, hazards, error)
         try:
             model = trace_module(folding.graph, example, names, opset, where=error.where)
