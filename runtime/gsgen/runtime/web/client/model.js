@@ -1,13 +1,12 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
 import { parsedJson } from "./download.js";
+import { boxAround } from "./framing.js";
 import { linearPart, plus, times } from "./matrices.js";
 import { readSplats } from "./splat_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
 
-const CROPPED = 0.02; // share of the centres, at each end of each axis, that framing ignores
 export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
-const SAMPLES = 50_000; // centres that an extent is found from
 
 /**
  * @typedef {object} Model
@@ -30,26 +29,13 @@ const SAMPLES = 50_000; // centres that an extent is found from
  */
 
 /**
- * Return the centre of the box around most centres, half its sides, and half its diagonal.
+ * Return the centre of the box around all Gaussians but floaters, half its sides and its diagonal.
  * @param {{rows: Float32Array, count: number}} splats
  */
-export function extentOf({ rows, count }) {
-  const step = Math.max(1, Math.floor(count / SAMPLES));
-  const axes = [[], [], []];
-  for (let row = 0; row < count; row += step) {
-    const center = rows.subarray(10 * row, 10 * row + 4);
-    if (center[3] > 0 && center.every(Number.isFinite)) {
-      for (let axis = 0; axis < 3; axis++) axes[axis].push(center[axis]);
-    }
-  }
-  if (!axes[0].length) return { center: [0, 0, 0], half: [0, 0, 0], reach: 1 };
-  const bounds = axes.map((numbers) => {
-    const sorted = Float32Array.from(numbers).sort();
-    return [quantile(sorted, CROPPED), quantile(sorted, 1 - CROPPED)];
-  });
-  const half = bounds.map(([low, high]) => (high - low) / 2);
-  const reach = Math.hypot(...half) || 1;
-  return { center: bounds.map(([low, high]) => (low + high) / 2), half, reach };
+export function extentOf(splats) {
+  const { low, high } = boxAround(splats) ?? { low: [0, 0, 0], high: [0, 0, 0] };
+  const half = low.map((least, axis) => (high[axis] - least) / 2);
+  return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
 }
 
 /** Return the extent of several moments. @param {ReturnType<typeof extentOf>[]} boxes */
@@ -58,13 +44,6 @@ export function mergedExtent(boxes) {
   const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
   const half = plus(high, -1, low).map((side) => side / 2);
   return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
-}
-
-/** Return a quantile of sorted numbers, between two of them as NumPy has it. */
-function quantile(sorted, share) {
-  const place = share * (sorted.length - 1);
-  const [low, high] = [Math.floor(place), Math.ceil(place)];
-  return sorted[low] + (place - low) * (sorted[high] - sorted[low]);
 }
 
 /** Return the model of a splat file. @returns {Model} */
