@@ -129,11 +129,12 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
         hint = "A page shows splats and generators; draw others with gsgen view."
         raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
     codec = codec_of_suffix(path)
-    if codec is not None and codec.name in _PAGE_MAGIC and raw.startswith(_PAGE_MAGIC[codec.name]):
+    magic = _PAGE_MAGIC.get(codec.name) if codec is not None else None
+    if magic is not None and raw.startswith(magic) and content.origin == NO_ORIGIN:
         return raw
     with temporary_folder() as folder:
         target = folder / "splats.ply"
-        write_ply(target, replace(content, origin=NO_ORIGIN))  # pages draw float32
+        write_ply(target, replace(content, origin=NO_ORIGIN))
         return target.read_bytes()
 
 

@@ -5,6 +5,7 @@ __all__ = ["view"]
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.viewer.viewer import Viewer
-    from gsgen.runtime.web.pages import ModelView
+    from gsgen.runtime.web.pages import ModelView, SplatReader
 
 WindowWidth = Annotated[
     int | None, typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1)
@@ -111,7 +112,7 @@ def view(
 
     Exits 0 once the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
-    from gsgen.cli.commands.drawing.opening import open_scenes, training_camera
+    from gsgen.cli.commands.drawing.opening import open_scenes, read_splats, training_camera
     from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.live_playback import LivePlayback
@@ -120,7 +121,8 @@ def view(
 
     if web:
         page = _page_view(background, fov, up, time, play=play)
-        return _serve_page(scenes, page, ort, port, image, as_json=as_json)
+        read = partial(read_splats, origin=parse_origin(origin))
+        return _serve_page(scenes, page, read, ort, port, image, as_json=as_json)
     symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
@@ -219,6 +221,7 @@ def _page_view(
 def _serve_page(
     scenes: Sequence[Path],
     model_view: "ModelView",
+    read: "SplatReader",
     ort: Path | None,
     port: int,
     images: Sequence[str] | None,
@@ -228,7 +231,6 @@ def _serve_page(
     """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
 
-    from gsgen.cli.commands.drawing.opening import read_splats
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
     from gsgen.runtime.playback.picture_inputs import picture_files
     from gsgen.runtime.web.onnxruntime_web import ort_folder
@@ -244,13 +246,13 @@ def _serve_page(
             )
     models = models_shown(scenes)
     for path in models:
-        model_bytes(path, read_splats)  # an unreadable file is an error here, not in the page alone
+        model_bytes(path, read)  # an unreadable file is an error here, not in the page alone
     has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
     folder = ort_folder(ort) if has_generator else None
     pictures = picture_files(images) if images else []
     try:
         server = ModelServer(
-            scenes, model_view, ort=folder, port=port, read=read_splats, images=pictures
+            scenes, model_view, ort=folder, port=port, read=read, images=pictures
         )
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."

@@ -2,6 +2,7 @@
 
 __all__ = ["export_html"]
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +29,7 @@ def export_html(
     time: Annotated[
         float | None, typer.Option(help="Fixed time. [default: the time is played]")
     ] = None,
+    origin: options.Origin = "auto",
     ort: options.OrtFolder = None,
 ) -> None:
     """Write a page that shows MODELS in a browser, in one file that opens from disk.
@@ -41,6 +43,7 @@ def export_html(
     from gsgen.cli.output import echo_error
     from gsgen.contract.errors import ExitCode
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write, require_page
+    from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.onnxruntime_web import ort_folder
@@ -59,7 +62,10 @@ def export_html(
         require_page(output, files)
         has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in files)
         page = single_file_page(
-            models, view, ort_folder(ort) if has_generator else None, read=read_splats
+            models,
+            view,
+            ort_folder(ort) if has_generator else None,
+            read=partial(read_splats, origin=parse_origin(origin)),
         )
     except SceneUnreadable as error:
         echo_error(error)
