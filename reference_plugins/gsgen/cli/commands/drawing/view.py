@@ -251,9 +251,7 @@ def _serve_page(
     folder = ort_folder(ort) if has_generator else None
     pictures = picture_files(images) if images else []
     try:
-        server = ModelServer(
-            scenes, model_view, ort=folder, port=port, read=read, images=pictures
-        )
+        server = ModelServer(scenes, model_view, ort=folder, port=port, read=read, images=pictures)
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."
         message = f"cannot listen: {error.strerror}"

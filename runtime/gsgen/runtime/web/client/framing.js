@@ -20,131 +20,127 @@ const AROUND = [-1, 0, 1].flatMap((x) => [-1, 0, 1].flatMap((y) => [-1, 0, 1].ma
  * @returns {{low: number[], high: number[]} | null}
  */
 export function boxAround({ rows, count }) {
-  const finite = [];
-  for (let row = 0; row < 10 * count; row += 10) {
-    if (Number.isFinite(rows[row]) && Number.isFinite(rows[row + 1]) && Number.isFinite(rows[row + 2])) finite.push(row);
-  }
+  const firsts = Int32Array.from({ length: count }, (_, index) => 10 * index);
+  const finite = firsts.filter((row) => AXES.every((axis) => Number.isFinite(rows[row + axis])));
   const visible = finite.filter((row) => rows[row + 3] > 0);
   const chosen = visible.length ? visible : finite;
   if (!chosen.length) return null;
-  const centers = AXES.map((axis) => Float64Array.from(chosen, (row) => rows[row + axis]));
-  const sigmas = VARIANCES.map((column) => Float64Array.from(chosen, (row) => deviation(rows[row + column])));
-  const retained = retainedOf(centers, sigmas);
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-  for (let i = 0; i < chosen.length; i++) {
-    if (retained && !retained[i]) continue;
+  for (const row of withoutFloaters(rows, chosen)) {
     // The edge of a Gaussian is where its alpha falls below what the renderer draws.
-    const alpha = Math.min(Math.max(rows[chosen[i] + 3], VISIBLE_ALPHA), 1);
-    const sigmaCount = Math.sqrt(2 * Math.log(alpha / VISIBLE_ALPHA));
+    const alpha = Math.min(Math.max(rows[row + 3], VISIBLE_ALPHA), 1);
+    const sigmas = Math.sqrt(2 * Math.log(alpha / VISIBLE_ALPHA));
     for (const axis of AXES) {
-      const radius = sigmas[axis][i] * sigmaCount;
-      low[axis] = Math.min(low[axis], centers[axis][i] - radius);
-      high[axis] = Math.max(high[axis], centers[axis][i] + radius);
+      const radius = sigmas * deviation(rows, row, axis);
+      low[axis] = Math.min(low[axis], rows[row + axis] - radius);
+      high[axis] = Math.max(high[axis], rows[row + axis] + radius);
     }
   }
   return { low, high };
 }
 
-function deviation(variance) {
+/** Return the standard deviation of a Gaussian along an axis. */
+function deviation(rows, row, axis) {
+  const variance = rows[row + VARIANCES[axis]];
   return variance > 0 && variance < Infinity ? Math.sqrt(variance) : 0;
 }
 
-/** Return which Gaussians are no floaters; null where all are. */
-function retainedOf(centers, sigmas) {
-  const count = centers[0].length;
-  if (count * MIN_GROUP_SHARE <= 1) return null; // each Gaussian is a group that is large enough
-  const step = Math.ceil(count / MAX_GROUPED);
-  const sampleCount = Math.ceil(count / step);
-  const sorted = (numbers) => numbers.filter((_, i) => i % step === 0).sort();
-  const bounds = centers.map((numbers) => SPREAD_QUANTILES.map((share) => quantile(sorted(numbers), share)));
-  const low = bounds.map(([least]) => least);
-  const medians = sigmas.map((numbers) => quantile(sorted(numbers), 0.5));
-  const spread = Math.max(...bounds.map(([least, most], axis) => most - least + 2 * medians[axis]));
-  const side = spread * Math.max(MIN_CUBE_SIDE, CUBE_SIDE_SPACINGS * sampleCount ** (-1 / 3));
-  if (!(side > 0 && side < Infinity)) return null;
+/** Return the rows of Gaussians that are no floaters. */
+function withoutFloaters(rows, chosen) {
+  if (chosen.length * MIN_GROUP_SHARE <= 1) return chosen; // each is a group that is large enough
+  const step = Math.ceil(chosen.length / MAX_GROUPED);
+  const sample = chosen.filter((_, index) => index % step === 0);
+  const centers = AXES.map((axis) => Float64Array.from(sample, (row) => rows[row + axis]).sort());
+  const sigmas = AXES.map((axis) => Float64Array.from(sample, (row) => deviation(rows, row, axis)).sort());
+  const low = centers.map((sorted) => quantile(sorted, SPREAD_QUANTILES[0]));
+  const sides = AXES.map((axis) => quantile(centers[axis], SPREAD_QUANTILES[1]) - low[axis] + 2 * quantile(sigmas[axis], 0.5));
+  const spread = Math.max(...sides);
+  const side = spread * Math.max(MIN_CUBE_SIDE, CUBE_SIDE_SPACINGS * sample.length ** (-1 / 3));
+  if (!(side > 0 && side < Infinity)) return chosen;
   // 1. The cube of each centre; far Gaussians, and those larger than the object, are left out.
-  const cubeAt = (point) => point.map((value, axis) => Math.floor((value - low[axis]) / side));
-  const cubes = [];
-  for (let i = 0; i < count; i++) {
-    const cube = cubeAt(AXES.map((axis) => centers[axis][i]));
-    const isInGrid = cube.every((place) => Math.abs(place) < GRID_SIZE);
-    if (isInGrid && AXES.every((axis) => sigmas[axis][i] <= spread)) cubes.push({ i, cube });
-  }
+  const cube = [0, 0, 0];
+  const placeOf = (value, axis) => Math.floor((value - low[axis]) / side);
+  const isPlaced = (row) =>
+    AXES.every((axis) => {
+      cube[axis] = placeOf(rows[row + axis], axis);
+      return Math.abs(cube[axis]) < GRID_SIZE && deviation(rows, row, axis) <= spread;
+    });
+  const placed = chosen.filter(isPlaced);
   // 2. Of a sample, the cubes that each Gaussian is in or reaches.
   const grid = new CubeGrid();
-  for (const { i, cube } of cubes.filter((_, number) => number % step === 0)) {
-    grid.add(cube, 1);
-    const center = AXES.map((axis) => centers[axis][i]);
+  for (let index = 0; index < placed.length; index += step) {
+    const row = placed[index];
+    isPlaced(row);
+    grid.add(...cube, 1);
     for (const axis of AXES) {
-      const reach = LINK_SIGMAS * sigmas[axis][i];
+      const reach = LINK_SIGMAS * deviation(rows, row, axis);
       for (let number = 1; number <= MAX_CUBES_PER_GAUSSIAN; number++) {
         if (!(reach > (number === 1 ? side / 2 : (number - 1) * side))) continue;
-        const offset = Math.min(number * side, reach);
-        for (const sign of [-1, 1]) grid.add(cubeAt(center.map((value, k) => value + (k === axis ? sign * offset : 0))), 0);
+        for (const sign of [-1, 1]) {
+          const reached = [...cube];
+          reached[axis] = placeOf(rows[row + axis] + sign * Math.min(number * side, reach), axis);
+          grid.add(...reached, 0);
+        }
       }
     }
   }
   // 3. Groups of cubes that touch, and those with enough of the Gaussians.
-  const cubesOfObject = grid.largeGroups(MIN_GROUP_SHARE * sampleCount);
-  if (!cubesOfObject.size) return null;
-  const isNear = (cube) => AROUND.some((step) => cubesOfObject.has(grid.find(cube, step)));
-  const retained = new Uint8Array(count);
-  for (const { i, cube } of cubes) {
+  const object = new CubeGrid();
+  for (const [x, y, z] of grid.largeGroups(MIN_GROUP_SHARE * sample.length)) {
     // The sample may miss cubes at the object's edge.
-    retained[i] = Number(step > 1 ? isNear(cube) : cubesOfObject.has(grid.find(cube)));
+    for (const [i, j, k] of step > 1 ? AROUND : [[0, 0, 0]]) object.add(x + i, y + j, z + k, 0);
   }
-  return retained;
+  return object.cubes.length ? placed.filter((row) => isPlaced(row) && object.find(...cube) !== undefined) : chosen;
 }
 
-/** Cubes of space that hold Gaussians, with their numbers. */
+/** Return a number for a column of cubes, below 2⁴². */
+const columnKey = (x, y) => (x + 2 * GRID_SIZE) * 4 * GRID_SIZE + y + 2 * GRID_SIZE;
+
+/** Cubes of space that hold Gaussians. */
 class CubeGrid {
   constructor() {
-    this._numbers = new Map(); // column of cubes → z → number of the cube
-    this._cubes = [];
-    this._counts = [];
+    this.cubes = [];
+    this._counts = []; // Gaussians of each cube
+    this._columns = new Map(); // column of cubes → z → index of the cube
   }
 
-  add(cube, count) {
-    const column = this._column(cube[0], cube[1]);
-    if (!this._numbers.has(column)) this._numbers.set(column, new Map());
-    const numbers = this._numbers.get(column);
-    if (!numbers.has(cube[2])) {
-      numbers.set(cube[2], this._cubes.length);
-      this._cubes.push(cube);
+  add(x, y, z, count) {
+    const column = this._columns.get(columnKey(x, y)) ?? new Map();
+    if (!column.has(z)) {
+      this._columns.set(columnKey(x, y), column);
+      column.set(z, this.cubes.length);
+      this.cubes.push([x, y, z]);
       this._counts.push(0);
     }
-    this._counts[numbers.get(cube[2])] += count;
+    this._counts[column.get(z)] += count;
   }
 
-  /** Return the number of a cube, or of one beside it; undefined if it is empty. */
-  find(cube, step = [0, 0, 0]) {
-    return this._numbers.get(this._column(cube[0] + step[0], cube[1] + step[1]))?.get(cube[2] + step[2]);
+  /** Return the index of a cube; undefined if it is empty. */
+  find(x, y, z) {
+    return this._columns.get(columnKey(x, y))?.get(z);
   }
 
-  /** Return the numbers of the cubes in groups, of cubes that touch, with `least` Gaussians. */
+  /** Return the cubes in groups, of cubes that touch, with `least` Gaussians. */
   largeGroups(least) {
-    const [seen, result] = [new Uint8Array(this._cubes.length), new Set()];
+    const [seen, result] = [new Uint8Array(this.cubes.length), []];
     for (let first = 0; first < seen.length; first++) {
       if (seen[first]) continue;
       const group = [first];
       seen[first] = 1;
       for (let next = 0; next < group.length; next++) {
-        for (const step of AROUND) {
-          const number = this.find(this._cubes[group[next]], step);
-          if (number !== undefined && !seen[number]) {
-            seen[number] = 1;
-            group.push(number);
+        const [x, y, z] = this.cubes[group[next]];
+        for (const [i, j, k] of AROUND) {
+          const index = this.find(x + i, y + j, z + k);
+          if (index !== undefined && !seen[index]) {
+            seen[index] = 1;
+            group.push(index);
           }
         }
       }
-      const size = group.reduce((sum, number) => sum + this._counts[number], 0);
-      if (size >= least) group.forEach((number) => result.add(number));
+      const size = group.reduce((sum, index) => sum + this._counts[index], 0);
+      if (size >= least) for (const index of group) result.push(this.cubes[index]);
     }
     return result;
-  }
-
-  _column(x, y) {
-    return (x + 2 * GRID_SIZE) * 4 * GRID_SIZE + y + 2 * GRID_SIZE; // below 2⁴²
   }
 }
 
