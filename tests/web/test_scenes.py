@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.scene_file import open_scene, read_scene
 from gsgen.runtime.web.pages import ModelView
 from gsgen.runtime.web.serving import ModelServer
+from gsgen.tiles.streaming.tiles_source import open_stream
 from support.commands import gsgen_here
+from support.tiles.builds import SMALL, build
 from support.web.pages import WebSite, float32_result, running
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
@@ -48,10 +51,11 @@ _GENERATORS = {"time-in-seconds", "view-row", "count-changes"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two splat files and two generators."""
+    """Two splat files, three generators and a tileset."""
     folder = tmp_path_factory.mktemp("scene")
     write_ply(folder / "knot.ply", torus_knot(600, degree=1))
     write_spz(folder / "knot.spz", torus_knot(500, degree=1))
+    build([folder / "knot.ply"], folder / "tiles", replace(SMALL, leaf=200))
     for case in kit_cases():
         if case.name in _GENERATORS:
             case.spec().write(folder / f"{case.name}.onnx")
@@ -60,8 +64,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(site: WebSite, folder: Path) -> Iterator[Any]:
-    for path in folder.iterdir():
-        site.contents[f"/{path.name}"] = path.read_bytes()
+    for path in folder.rglob("*"):
+        if path.is_file():
+            site.contents[f"/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
     site.contents["/scenes.html"] = _PAGE
     site.open("/scenes.html")
     site.page.wait_for_function("Boolean(customElements.get('gsgen-scene'))")
@@ -93,6 +98,13 @@ def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
       return shown._aside(async (renderer) => {
         shown.isStale = true;
         const camera = shown.orbit.camera(width, height);
+        const tilesets = shown.model.entries.map(({ model }) => model).filter((model) => "loading" in model);
+        do {
+          // Tiles that a camera lacks are requested by a frame.
+          await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
+          while (tilesets.some(({ loading }) => loading)) await new Promise((resolve) => setTimeout(resolve, 20));
+          await shown.model.update({}, camera);
+        } while (tilesets.some(({ loading }) => loading));
         await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
         return renderer.readImage("color");
       });
@@ -108,7 +120,7 @@ def rendered(
     path = folder / "scene.json"
     path.write_text(json.dumps(document), "utf-8")
     scene = read_scene(path)
-    sources = open_scene(scene)
+    sources = open_scene(scene, stream=open_stream)
     view = scene_viewpoint([scene], None, _WIDTH, _HEIGHT, None, None)
     sequence = FrameSequence(
         sources, view, background=scene.background or (0, 0, 0, 1), frames=frames, renderer=renderer
@@ -176,7 +188,7 @@ def test_children_of_an_element_are_the_models_of_a_scene(
 def test_a_timeline_moves_cameras_and_inputs_like_python(
     page: Any, site: WebSite, folder: Path, renderer: Renderer
 ) -> None:
-    """Three generators: with key frames, with a time of its own, and one that sees the camera."""
+    """Two splat files, a tileset, and generators: with key frames, without, and with a camera."""
     eyes = ["look-at:0.4,-1.2,-7,0,0,0", "look-at:3,-1,-6,0.2,0,0"]
     document = {
         "models": [
@@ -195,6 +207,12 @@ def test_a_timeline_moves_cameras_and_inputs_like_python(
                 },
             },
             {"path": "count-changes.onnx", "translate": [0, 1, -1]},
+            {
+                "path": "tiles/tileset.json",
+                "translate": [-1, 1.5, 1],
+                "scale": 0.6,
+                "opacity_scale": 0.5,
+            },
             {"path": "view-row.onnx", "rotate": [0.9, 0.1, 0.2, 0], "scale": [1.2, 1.1, 1]},
         ],
         "camera": {"keys": [{"at": 0, "value": eyes[0]}, {"at": 2, "value": eyes[1]}]},

@@ -45,6 +45,14 @@ export function solve(a, b) {
   return sum.map((part) => part / dot(p, cross(q, r)));
 }
 
+/** Return the inverse of an affine 4×4 matrix. @param {readonly number[]} m */
+export function inverted(m) {
+  const linear = linearPart(m);
+  const [a, b, c] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => solve(linear, axis));
+  const [x, y, z] = solve(linear, [m[3], m[7], m[11]]);
+  return [a[0], b[0], c[0], -x, a[1], b[1], c[1], -y, a[2], b[2], c[2], -z, 0, 0, 0, 1];
+}
+
 /**
  * Return the axes along which a 3×3 matrix A stretches, as columns, and by how much: the square roots
  * of the eigenvalues of AᵀA, which Jacobi rotations find.

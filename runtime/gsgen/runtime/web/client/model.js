@@ -17,6 +17,7 @@ export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a mode
  * @property {{name: any, low: number, high: number, seconds: number, loop: boolean} | null} time
  * @property {any[]} inputs The inputs that a visitor may set.
  * @property {boolean} followsCamera
+ * @property {readonly number[]} [frame] From the axes that a scene file places to those of the sets.
  * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
  *     frame; true if the pages are others than before.
  * @property {() => void} destroy

@@ -6,7 +6,7 @@
 
 import { GsgenError } from "./errors.js";
 import { isKeyed, valueAt } from "./key_frames.js";
-import { composed, dot, cross, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
+import { composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
 import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
 import { orbitOf, readScene } from "./scene_file.js";
@@ -17,6 +17,11 @@ const INDICES = ["frame_index", "appearance_id"]; // roles of whole numbers
 
 /** @type {symbol} */
 const CLOCK = Symbol("seconds"); // the name of a stage's time, which no input of a model has
+
+/** Return the transform from the space of a model's sets to the world. */
+function worldOf({ model, transform }) {
+  return model.frame ? composed(transform, inverted(model.frame)) : transform;
+}
 
 /** Return the geometric mean of the scales along the axes of a transform. */
 function meanScale(transform) {
@@ -135,10 +140,11 @@ export class Stage {
   async update(given, camera) {
     const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
-    for (const { model, transform, inputs } of this.entries) {
+    for (const entry of this.entries) {
+      const { model, inputs } = entry;
       const [keyed, fixed] = split(inputs, seconds, model);
       const all = { ...this._ownTime(model, seconds), ...keyed, ...values, ...fixed };
-      isChanged = (await model.update(all, localCamera(camera, transform))) || isChanged;
+      isChanged = (await model.update(all, localCamera(camera, worldOf(entry)))) || isChanged;
     }
     return this._place() || isChanged;
   }
@@ -196,11 +202,12 @@ function split(inputs, seconds, { inputs: specs }) {
 }
 
 /** Return a set of a model at its place on the stage. */
-function placed(set, { transform, opacity, degree, antialias, clip, isSorted }) {
+function placed(set, entry) {
+  const { opacity, degree, antialias, clip, isSorted } = entry;
   const own = set.degree ?? set.buffers.degree ?? null;
   return {
     ...set,
-    transform: composed(transform, set.transform),
+    transform: composed(worldOf(entry), set.transform),
     opacityScale: opacity,
     ...(degree !== null && own !== null ? { degree: Math.min(own, degree) } : {}),
     ...(antialias ? { antialias } : {}),
@@ -227,7 +234,9 @@ function checkInputs(inputs, { inputs: specs }, where) {
 }
 
 /** Return the extent of a placed model in the world. */
-function extentOf({ model, transform }) {
+function extentOf(entry) {
+  const { model } = entry;
+  const transform = worldOf(entry);
   const { center, half = [0, 0, 0], reach } = model.extent;
   const linear = linearPart(transform);
   return {

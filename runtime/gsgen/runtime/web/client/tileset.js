@@ -99,6 +99,8 @@ export class TilesetModel {
     this._slotRows = slotRows;
     this._options = { ...options, maxError: options.maxError ?? maxError };
     this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
+    /** From the axes of the splats that it was built from, which scene files place, to its own. */
+    this.frame = this._root.frame;
     const { center, axes } = this._root;
     this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
     // Where the scene is 0, 0, 0: map coordinates are no place on the globe.
