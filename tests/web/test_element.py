@@ -137,7 +137,7 @@ def test_a_page_of_one_file_opens_from_disk(page: Any, knot: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"no model", "is neither PLY nor SPZ nor SOG"),
+        (b"no model", "is text that begins 'no model'"),
         (b"\x08\x0a\x3a\xff\x01", "is not a whole ONNX file"),
         (None, "cannot be loaded: 404"),
     ],

@@ -241,7 +241,9 @@ def test_implicit_trees_have_the_tiles_of_python(
     ],
 )
 def test_volumes_that_pages_do_not_read_are_named(root: Any, site: WebSite) -> None:
-    site.contents["/tileset.json"] = json.dumps({"root": root}).encode()
+    site.contents["/tileset.json"] = json.dumps(
+        {"asset": {"version": "1.1"}, "root": root}
+    ).encode()
     with pytest.raises(Exception, match="has a volume that is not a box"):
         frames_of(site, site.address, CAMERAS[:1])
 

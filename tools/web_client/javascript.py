@@ -30,22 +30,30 @@ _METHODS: Final = {
     "count": "py.count({0}, {1})",
     "decode": "{0}",
     "encode": "{0}",
+    "endswith": "py.endsWith({0}, {1})",
     "extend": "{0}.push(...py.iter({1}))",
+    "finditer": "{1}.matchAll(new RegExp({0}, `g${{{0}.flags}}`))",
+    "fullmatch": "new RegExp(`^(?:${{{0}.source}})$`, {0}.flags).exec({1})",
     "get": "py.get({all})",
     "index": "{0}.indexOf({1})",
     "is_integer": "Number.isInteger(Number({0}))",
     "isascii": r"/^[\0-\x7f]*$/.test({0})",
     "isdigit": r"/^\d+$/.test({0})",
     "isdisjoint": "!py.list({1}).some((entry) => {0}.has(entry))",
+    "issubset": "py.list({0}).every((entry) => {1}.has(entry))",
     "isprintable": r"!/[\p{{C}}\p{{Zl}}\p{{Zp}}]|(?! )\p{{Zs}}/u.test({0})",
     "items": "{0}.entries()",
     "join": "py.list({1}).join({0})",
     "lower": "{0}.toLowerCase()",
     "lstrip": "{0}.trimStart()",
     "match": "{0}.exec({1})",  # patterns that begin with ^
+    "partition": "py.partition({0}, {1})",
     "pop": "{0}.pop()",
+    "rpartition": "py.rpartition({0}, {1})",
+    "search": "{0}.exec({1})",
     "split": "{0}.split({1})",
-    "startswith": "{0}.startsWith({1})",
+    "splitlines": r"{0}.split(/\r\n|[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]/)",
+    "startswith": "py.startsWith({0}, {1})",
     "strip": "{0}.trim()",
     "update": "py.list({1}).forEach((entry) => {0}.add(entry))",
     "values": "{0}.values()",
@@ -112,6 +120,8 @@ def literal(value: object) -> str:
     """Return a JavaScript expression for a plain Python value: numbers, texts, None."""
     if value is None or isinstance(value, (bool, str)):
         return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, bytes):  # each byte is a character
+        return json.dumps(value.decode("latin-1"))
     if isinstance(value, float):
         return f"py.float({value!r})" if value.is_integer() else repr(value)
     if isinstance(value, int):
@@ -190,6 +200,8 @@ class FunctionTranslator:
                 return f"try {{\n{self._block(body)}}} {handled}"
             case ast.Raise(ast.Call(_, [message, *_])):
                 return f"throw new Error({self.value(message)});"
+            case ast.Break():
+                return "break;"
             case ast.Continue():
                 return "continue;"
             case ast.Assert() | ast.Pass() | ast.AnnAssign():

@@ -1,6 +1,6 @@
-"""The browser's rules: an ES module that is translated from the contract's Python functions."""
+"""The browser's rules and kinds of files: ES modules translated from the contract's functions."""
 
-__all__ = ["NOT_IN_PAGES", "page_rules", "rules_text"]
+__all__ = ["NOT_IN_PAGES", "kinds_text", "page_rules", "rules_text"]
 
 import ast
 import builtins
@@ -13,6 +13,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from types import FunctionType, ModuleType
 from typing import Final, get_args, get_type_hints
 
+from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, archive_kind, content_kind
 from gsgen.contract.model.graph import read_graph
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.manifest_inference import infer_manifest
@@ -49,6 +50,8 @@ _OVERRIDES: Final = {
     "gsgen.contract.spec.fields.json_schema.from_json": "py.fromJson",
     "gsgen.contract.model.graph._infer_facts": "noFacts",
     "gsgen.contract.model.graph._densify_sparse_tensor": "denseWeight",
+    "gsgen.contract.file_kinds.text_kinds._decoded": "py.decoded",
+    "builtins.int.from_bytes": "py.fromBytes",
     "collections.Counter": "py.counter",
     "itertools.chain": "py.chain",
     "json.loads": "py.loads",
@@ -60,12 +63,15 @@ _OVERRIDES: Final = {
 }
 
 
-_PRELUDE: Final = """\
-// Written by `make web` from the Python rules of the contract; do not edit.
+_FLAGS: Final = {re.IGNORECASE: "i", re.MULTILINE: "m"}
+
+_HEAD: Final = """\
+// Written by `make web` from Python functions of the contract; do not edit.
 // @ts-nocheck
 
 import * as py from "./python.js";
-
+"""
+_PRELUDE: Final = """\
 const publishedSchema = (kind) => SCHEMAS.get(kind);
 const denseWeight = ({ dims, values: { name, data_type } }) => ({ name, data_type, dims });
 const noFacts = () => ({ tensors: new Map(), conflicts: [], checker: "", inference: "" });
@@ -127,10 +133,35 @@ def rules_text() -> str:
     module.add_methods()
     return "\n".join(
         [
+            _HEAD,
             _PRELUDE,
             *module.classes(),
             *module.functions.values(),
             f"const SCHEMAS = py.loads({schemas});",
+            *module.constants.values(),
+            *(
+                f"/** @type {{any}} */\nexport const {name} = {value};"
+                for name, value in exported.items()
+            ),
+            "",
+        ]
+    )
+
+
+def kinds_text() -> str:
+    """Return an ES module with the functions that tell the kind of a file from its content."""
+    module = _Module()
+    exported = {
+        "contentKind": module.reference(content_kind, ""),
+        "archiveKind": module.reference(archive_kind, ""),
+        "RECOGNITION_BYTES": module.reference(RECOGNITION_BYTES, ""),
+    }
+    module.add_methods()
+    return "\n".join(
+        [
+            _HEAD,
+            *module.classes(),
+            *module.functions.values(),
             *module.constants.values(),
             *(
                 f"/** @type {{any}} */\nexport const {name} = {value};"
@@ -181,7 +212,7 @@ class _Module:
             return self._function(value)
         if isinstance(value, type):
             return self._class(value)
-        if value is None or isinstance(value, (bool, int, float, str)):
+        if value is None or isinstance(value, (bool, int, float, str, bytes)):
             return literal(value)
         if id(value) not in self._names:
             self._names[id(value)] = f"{name}${len(self._names)}"
@@ -289,7 +320,8 @@ class _Module:
         if isinstance(value, (set, frozenset)):
             return f"py.set([{', '.join(self.constant(entry) for entry in sorted(value))}])"
         if isinstance(value, re.Pattern):
-            return f"new RegExp({literal(value.pattern)})"
+            flags = "".join(letter for flag, letter in _FLAGS.items() if value.flags & flag)
+            return f"new RegExp({literal(value.pattern)}, {literal(flags)})"
         if is_dataclass(value) and not isinstance(value, type):
             parts = [self.constant(getattr(value, field.name)) for field in fields(value)]
             return f"new {self._class(type(value))}({', '.join(parts)})"

@@ -7,7 +7,6 @@
 
 import * as THREE from "three/webgpu";
 
-import { download } from "gsgen/download.js";
 import { storageBuffer, uniformBuffer } from "gsgen/gpu_buffers.js";
 import { encodePass } from "gsgen/host.js";
 import { composed, transposed4 } from "gsgen/matrices.js";
@@ -30,7 +29,7 @@ export class GsgenObject extends THREE.Object3D {
   /** @param {string} source Address of the model. */
   static async load(source) {
     const kernels = await sharedKernels();
-    return new GsgenObject(await openModel(kernels, await download(source), source));
+    return new GsgenObject(await openModel(kernels, source, source));
   }
 
   constructor(model) {

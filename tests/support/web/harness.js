@@ -9,7 +9,8 @@ import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import * as py from "/client/python.js";
 import { Renderer } from "/client/renderer.js";
-import { readSplats } from "/client/splat_files.js";
+import { readInBackground } from "/client/file_reader.js";
+import { readRequest } from "/client/splat_files.js";
 import { SplatBuffers } from "/client/splat_buffers.js";
 import * as uniforms from "/client/uniforms.js";
 
@@ -83,7 +84,7 @@ export async function draw({ sets, cameras, outputs, background, pairs }) {
   const renderer = new Renderer(kernels);
   if (pairs) renderer._pairs = pairs;
   const placed = sets.map(({ splats, ...rest }) => {
-    return { buffers: new SplatBuffers(device, plans, splatsOf(splats)), ...rest };
+    return { buffers: SplatBuffers.of(device, plans, splatsOf(splats)), ...rest };
   });
   renderer.setScene(placed);
   const frames = [];
@@ -103,15 +104,33 @@ export async function choose(shape, sizes) {
   return choosePlan(await loadPlans("/client/plans.json"), shape, sizes);
 }
 
-/** Read a served splat file; an error is returned with its hint. */
-export async function splatFile(path) {
-  const data = await (await fetch(path)).arrayBuffer();
-  try {
-    const { rows, appearance, ...rest } = await readSplats(data, path);
-    return { ...rest, rows: textOf(rows), appearance: textOf(appearance) };
-  } catch (error) {
-    return { error: error.message, hint: error.hint };
+/** Return the parts of served splat files as Python reads them; errors with their hints. */
+export async function splatFiles(paths, isInWorker = true) {
+  const read = isInWorker ? readInBackground : readRequest;
+  const results = [];
+  for (const path of paths) {
+    const parts = [];
+    const sink = {
+      begin(facts) {
+        const stride = 4 * Math.ceil(facts.channels / 4);
+        return parts.push({ facts, stride, rows: new Float32Array(10 * facts.count), appearance: new Float32Array(stride * facts.count) }) - 1;
+      },
+      write(part, first, rows, appearance) {
+        if (rows) parts[part].rows.set(rows, 10 * first);
+        parts[part].appearance.set(appearance, parts[part].stride * first);
+      },
+      end: (part, count) => Object.assign(parts[part].facts, { count }),
+    };
+    try {
+      const { kind } = await read({ name: path, address: String(new URL(path, location)) }, sink);
+      results.push({ kind, parts: parts.map(({ facts, stride, rows, appearance }) => {
+        return { ...facts, stride, rows: textOf(rows), appearance: textOf(appearance) };
+      }) });
+    } catch (error) {
+      results.push({ error: error.message, hint: error.hint, stack: error.stack });
+    }
   }
+  return results;
 }
 
 /** Return uris, box and geometric error of all tiles of implicit trees, subtree by subtree. */

@@ -9,6 +9,16 @@ import pytest
 from support.commands import ROOT
 
 
+def require_node() -> str:
+    """Return the path of Node.js; without it, fail the test in CI, and skip it elsewhere."""
+    path = which("node")
+    if path is None:
+        if os.environ.get("CI"):
+            pytest.fail("missing: node on the PATH")
+        pytest.skip("missing: node on the PATH")
+    return path
+
+
 def package(name: str, *, needs_node: bool = False) -> Path:
     """Return a package's folder; without it, fail the test in CI, and skip it elsewhere.
 

@@ -1,6 +1,6 @@
 """Tells the kind of a file from its first bytes, and for an archive from the names within."""
 
-__all__ = ["RECOGNITION_BYTES", "archive_kind", "kind_of", "kind_of_file"]
+__all__ = ["RECOGNITION_BYTES", "archive_kind", "content_kind", "kind_of", "kind_of_file"]
 
 import errno
 import os
@@ -9,7 +9,6 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from io import BytesIO
-from pathlib import PurePath
 from typing import BinaryIO, Final
 
 from gsgen.contract.file_kinds.kind import (
@@ -62,13 +61,21 @@ def kind_of(head: bytes, file: BinaryIO | None = None) -> FileKind | None:
 
 
 def _kind(head: bytes, file: BinaryIO | None, nesting_depth: int) -> FileKind | None:
-    if not head:
-        hint = "Write or download it again: the program that wrote it may have failed."
-        return FileKind(name="empty", title="an empty file (0 bytes)", hint=hint)
     if head.startswith(_ZIP_FILE_MAGIC):
         return _zip_kind(head, file)
     if head.startswith(_GZIP_MAGIC):
         return _gzip_kind(head, nesting_depth)
+    return content_kind(head)
+
+
+def content_kind(head: bytes) -> FileKind | None:
+    """Return the kind of a file that is neither ZIP nor gzip; None if its content is not known.
+
+    `make web` translates it for web pages.
+    """
+    if not head:
+        hint = "Write or download it again: the program that wrote it may have failed."
+        return FileKind(name="empty", title="an empty file (0 bytes)", hint=hint)
     if head.startswith((b"ply\n", b"ply\r")):
         return ply_kind(head)
     if head.startswith(b"glTF"):
@@ -79,7 +86,7 @@ def _kind(head: bytes, file: BinaryIO | None, nesting_depth: int) -> FileKind | 
     text = decoded_text(head)
     if text is not None:
         return text_kind(text)
-    if not any(head):
+    if head.count(b"\0") == len(head):
         return FileKind(
             name="zeros", title="a file that begins with zeros only", hint=DOWNLOAD_AGAIN_HINT
         )
@@ -123,8 +130,8 @@ def _zip_kind(head: bytes, file: BinaryIO | None) -> FileKind:
 def archive_kind(names: Sequence[str]) -> FileKind:
     """Return the kind of a ZIP archive from the names of its members."""
     files = [name for name in names if not (name.endswith("/") or _is_hidden(name))]
-    base_names = {PurePath(name).name.lower() for name in files}
-    suffixes = {PurePath(name).suffix.lower() for name in files}
+    base_names = {name.rpartition("/")[2].lower() for name in files}
+    suffixes = {_suffix(name) for name in files}
     if "data.pkl" in base_names:
         is_script = "constants.pkl" in base_names
         title = "a network in TorchScript" if is_script else "a checkpoint of torch"
@@ -139,7 +146,7 @@ def archive_kind(names: Sequence[str]) -> FileKind:
         return FileKind(name="streamed-sog", title=title, hint="Unpack it, and name lod-meta.json.")
     if META_FILE in base_names and ".webp" in suffixes:
         return FileKind(name="sog", title="a SOG file of splats", hint=SPLATS)
-    if files and PurePath(files[0]).suffix.lower() in (".usda", ".usdc", ".usd"):
+    if files and _suffix(files[0]) in (".usda", ".usdc", ".usd"):
         return FileKind(name="usd", title="a USD archive (usdz)", hint=EXPORT_SPLATS_HINT)
     if "[content_types].xml" in base_names:
         return FileKind(
@@ -156,3 +163,9 @@ def archive_kind(names: Sequence[str]) -> FileKind:
 
 def _is_hidden(name: str) -> bool:
     return any(part.startswith(".") or part == "__MACOSX" for part in name.split("/"))
+
+
+def _suffix(name: str) -> str:
+    """Return the end of a member's name from its last dot on, in lower case; empty without one."""
+    stem, dot, ending = name.rpartition("/")[2].rpartition(".")
+    return f"{dot}{ending}".lower() if stem and ending else ""

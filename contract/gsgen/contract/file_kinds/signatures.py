@@ -91,13 +91,14 @@ _MODEL_TAGS: Final = b"\x12\x1a\x22\x2a\x32\x3a\x42\x72"
 def kind_by_signature(head: bytes) -> FileKind | None:
     """Return the kind of file that certain first bytes identify; None if none does."""
     for offset, signature, name, title, hint in _FILE_SIGNATURES:
-        if head.startswith(signature, offset):
+        if head[offset : offset + len(signature)] == signature:
             return FileKind(name=name, title=title, hint=hint)
     # A length in 8 bytes, and a JSON object of at most 100 MB.
     if head[8:9] == b"{" and 0 < int.from_bytes(head[:8], "little") < 10**8:
         return FileKind(
             name="safetensors", title="a file of weights (safetensors)", hint=_SAVE_TENSORS_HINT
         )
-    if len(head) > 3 and head[0] == 8 and 0 < head[1] < 64 and head[2] in _MODEL_TAGS:
+    is_model_version = head[:1] == b"\x08" and b"\0" < head[1:2] < b"\x40"
+    if len(head) > 3 and is_model_version and head[2:3] in _MODEL_TAGS:
         return FileKind(name="onnx", title="an ONNX model", hint=MODEL)
     return None

@@ -19,11 +19,13 @@ from gsgen.contract.file_kinds.kind import (
 
 SPLAT_EXTENSION: Final = "KHR_gaussian_splatting"
 
-_JSON_TOKEN_PATTERN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:]')
-_OBJ_LINE = re.compile(r"(v|vn|vt|f|o|g|s|mtllib|usemtl)\s+\S")
+_JSON_TOKEN_PATTERN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:,]')
+_OBJ_LINE = re.compile(r"^(v|vn|vt|f|o|g|s|mtllib|usemtl)\s+\S")
 _NUMBER_ROW_PATTERN = re.compile(r"[-+\d.eE]+(?:[\s,;]+[-+\d.eEnaifNAIF]+)+")
 _ERROR_KEYS = {"error", "errors", "message", "detail", "status", "statuscode", "code", "title"}
 _MAX_LISTED_KEYS = 6
+_HTML_TITLE = re.compile(r"<title[^>]*>\s*([^<]{1,60})", re.IGNORECASE)
+_ERROR_CODE = re.compile(r"<code>\s*([^<]{1,60})", re.IGNORECASE)
 
 # Keys that an object has all of → name, title, hint; the first match counts.
 _JSON_OBJECT_KINDS: Final[tuple[tuple[set[str], str, str, str], ...]] = (
@@ -49,6 +51,11 @@ _GLTF_ONLY_KEYS = {"accessors", "bufferViews"}
 
 def decoded_text(head: bytes) -> str | None:
     """Decode the first bytes of a file as text; None if they are not text."""
+    text = _decoded(head)
+    return text if _is_readable(text) else None
+
+
+def _decoded(head: bytes) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
     elif head.startswith(codecs.BOM_UTF8):
@@ -56,12 +63,16 @@ def decoded_text(head: bytes) -> str | None:
     else:
         encoding = "utf-8"
     # The last character may be cut off.
-    text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
+    return codecs.getincrementaldecoder(encoding)("replace").decode(head)
+
+
+def _is_readable(text: str) -> bool:
+    """Return whether what was decoded is text: it has no control characters."""
     if not text or "\0" in text:
-        return None
-    readable_count = sum(char.isprintable() or char in "\t\r\n\f" for char in text[:1024])
-    is_text = readable_count == len(text[:1024]) and text.count("�") * 20 <= len(text)
-    return text if is_text else None
+        return False
+    begin = text[:1024]
+    readable_count = sum(1 for char in begin if char.isprintable() or char in "\t\r\n\f")
+    return readable_count == len(list(begin)) and text.count("�") * 20 <= len(text)
 
 
 def text_kind(text: str) -> FileKind:
@@ -76,7 +87,7 @@ def text_kind(text: str) -> FileKind:
         )
     if low.startswith("<"):
         return _markup_kind(start, low)
-    if start[:1] in ("{", "["):
+    if start.startswith(("{", "[")):
         return json_kind(start)
     if start.startswith("Namespace("):
         return FileKind(
@@ -94,9 +105,10 @@ def text_kind(text: str) -> FileKind:
         hint = "A point cloud: convert it to a PLY with x, y, z and colours."
         return FileKind(name="pcd", title="a point cloud in PCD", hint=hint)
     lines = [line for line in start.splitlines()[:200] if line and not line.startswith("#")]
-    if lines and all(_OBJ_LINE.match(line) for line in lines[:-1] or lines):
+    whole_lines = lines[:-1] or lines  # the last one may be cut off
+    if lines and all(_OBJ_LINE.match(line) for line in whole_lines):
         return FileKind(name="obj", title="an OBJ mesh", hint=MESH_RENDER_HINT)
-    if lines and all(_NUMBER_ROW_PATTERN.fullmatch(line.strip()) for line in lines[:-1] or lines):
+    if lines and all(_NUMBER_ROW_PATTERN.fullmatch(line.strip()) for line in whole_lines):
         hint = "Write points as a PLY with x, y, z and colours."
         return FileKind(name="numbers", title="a table of numbers as text", hint=hint)
     first_line = start.partition("\n")[0].strip()
@@ -106,12 +118,12 @@ def text_kind(text: str) -> FileKind:
 
 def _markup_kind(start: str, low: str) -> FileKind:
     if "<html" in low or low.startswith("<!doctype html"):
-        match = re.search(r"<title[^>]*>\s*([^<]{1,60})", start[:4096], re.IGNORECASE)
+        match = _HTML_TITLE.search(start[:4096])
         title = f"a web page (HTML) titled {match[1].strip()!r}" if match else "a web page (HTML)"
         hint = "Download the file itself: the address is that of a page about it, or the server refused."
         return FileKind(name="html", title=title, hint=hint)
     if "<code>" in low and "<message>" in low:
-        match = re.search(r"<code>\s*([^<]{1,60})", start[:4096], re.IGNORECASE)
+        match = _ERROR_CODE.search(start[:4096])
         reason = f" ({match[1].strip()})" if match else ""
         hint = "The server refused the download: check the address, or sign in."
         return FileKind(name="error", title=f"an error message of a server{reason}", hint=hint)
@@ -131,20 +143,21 @@ def json_kind(text: str) -> FileKind:
     """Return the kind of a JSON file from its beginning."""
     keys = _top_level_keys(text)
     if text.startswith("["):
-        if {"img_name", "rotation"} <= keys.keys():
+        if "img_name" in keys and "rotation" in keys:
             title = "the list of cameras of a 3DGS training (cameras.json)"
             return FileKind(name="cameras", title=title, hint=CAMERAS)
         return FileKind(name="json", title="a JSON list")
     for needed, name, title, hint in _JSON_OBJECT_KINDS:
-        if needed <= keys.keys():
+        if needed.issubset(keys):
             return FileKind(name=name, title=title, hint=hint)
-    gltf_keys = _GLTF_KEYS & keys.keys()
+    gltf_keys = [key for key in keys if key in _GLTF_KEYS]
     # The first array may be longer than what is seen.
-    if len(gltf_keys) > 1 or gltf_keys & _GLTF_ONLY_KEYS or (gltf_keys and "asset" in keys):
+    is_gltf = len(gltf_keys) > 1 or any(key in _GLTF_ONLY_KEYS for key in keys)
+    if is_gltf or (gltf_keys and "asset" in keys):
         if SPLAT_EXTENSION in text:
             return FileKind(name="gltf-splats", title="a glTF file of splats", hint=SPLATS)
         return FileKind(name="gltf", title="a glTF file without splats", hint=MESH_RENDER_HINT)
-    if keys and {key.lower() for key in keys} & _ERROR_KEYS and len(keys) <= _MAX_LISTED_KEYS:
+    if any(key.lower() in _ERROR_KEYS for key in keys) and len(keys) <= _MAX_LISTED_KEYS:
         values = [keys[key] for key in keys if key.lower() in _ERROR_KEYS and keys[key]]
         reason = f" ({values[0]})" if values else ""
         hint = "The server refused the download: check the address, or sign in."
@@ -164,7 +177,7 @@ def _top_level_keys(text: str) -> dict[str, str]:
     """
     level = 2 if text.startswith("[") else 1
     keys: dict[str, str] = {}
-    depth, last_string, key = 0, "", ""
+    depth, last_string, key, previous = 0, "", "", ""
     for match in _JSON_TOKEN_PATTERN.finditer(text):
         token = match[0]
         if token in "{[":
@@ -177,15 +190,11 @@ def _top_level_keys(text: str) -> dict[str, str]:
             if depth == level:
                 key = last_string
                 keys[key] = ""
-        else:
+        elif token != ",":
             last_string = _strip_quotes(token)
-            if (
-                depth == level
-                and key
-                and not keys[key]
-                and text[: match.start()].rstrip()[-1:] == ":"
-            ):
+            if previous == ":" and depth == level and key:
                 keys[key] = last_string[:60]
+        previous = token
     return keys
 
 
@@ -193,7 +202,7 @@ def _strip_quotes(token: str) -> str:
     try:
         return str(json.loads(token))
     except ValueError:
-        return token.strip('"')
+        return token[1:-1]
 
 
 _PLY_SPLATS = re.compile(r"^property\s+\w+\s+(f_dc_0|scale_0|rot_0|opacity)\s*$", re.MULTILINE)
@@ -203,7 +212,7 @@ _PLY_ELEMENT = re.compile(r"^element\s+(\w+)\s+(\d+)", re.MULTILINE)
 def ply_kind(head: bytes) -> FileKind:
     """Return the kind of a PLY file from its header: splats, a mesh, points or other rows."""
     header = head.partition(b"end_header")[0].decode("latin-1")
-    counts = {name: int(count) for name, count in _PLY_ELEMENT.findall(header)}
+    counts = {match[1]: int(match[2]) for match in _PLY_ELEMENT.finditer(header)}
     if "property uint packed_position" in header:
         return FileKind(name="compressed-ply", title="a compressed PLY of splats", hint=SPLATS)
     if "f_offset_0" in header or "anchor" in header:
@@ -211,7 +220,7 @@ def ply_kind(head: bytes) -> FileKind:
         return FileKind(name="ply-anchors", title="a PLY of anchors, not splats", hint=hint)
     if _PLY_SPLATS.search(header):
         return FileKind(name="ply-splats", title="a PLY of splats", hint=SPLATS)
-    if counts.get("face") or counts.get("tristrips"):
+    if counts.get("face", 0) or counts.get("tristrips", 0):
         return FileKind(name="ply-mesh", title="a PLY mesh", hint=MESH_RENDER_HINT)
     if "vertex" in counts:
         hint = "Points with colours: `gsgen export static` makes splats of them."

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from typing import Final, final
 
@@ -27,7 +28,7 @@ from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, write_ply
-from gsgen.formats.codecs import codec_of_suffix
+from gsgen.formats.codecs import recognise_codec
 from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
@@ -35,7 +36,9 @@ from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
 
 _CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
 _MODULE_PREFIX: Final = "gsgen/"
-_PAGE_MAGIC: Final = {"spz": b"\x1f\x8b", "sog": b"PK"}  # of the formats that pages read
+_PAGE_FORMATS: Final = ("ply", "compressed-ply", "spz", "glb", "sog", "ksplat", "splat")
+"""The formats that pages read, where all of a scene is in one file."""
+_TEXT_START: Final = b"{"  # of a .gltf or meta.json, which name other files
 _PAGE_STYLE: Final = """
 body { margin: 0; background: #16181c; color: #e8eaed; font: 16px/1.5 system-ui, sans-serif }
 main { display: grid; gap: 1rem; min-height: 100vh; box-sizing: border-box; padding: 1rem;
@@ -104,7 +107,7 @@ SplatReader = Callable[..., Splats | PointCloud | PackedRows]
 
 
 def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
-    """Return a model file's bytes for a web page; splat formats that no page reads become a PLY.
+    """Return a model file's bytes for a web page; splats that no page reads become a PLY.
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
@@ -125,13 +128,14 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
         raw = path.read_bytes() if path.is_file() else b""  # else a folder, or standard input
     except (OSError, FormatError) as error:
         raise SceneUnreadable(str(error)) from error
-    if not isinstance(content, Splats):
-        hint = "A page shows splats and generators; draw others with gsgen view."
-        raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
-    codec = codec_of_suffix(path)
-    magic = _PAGE_MAGIC.get(codec.name) if codec is not None else None
-    if magic is not None and raw.startswith(magic) and content.origin == NO_ORIGIN:
+    codec = recognise_codec(BytesIO(raw)) if raw else None
+    is_near = not isinstance(content, PackedRows) and content.origin == NO_ORIGIN
+    is_whole = is_near and not raw.startswith(_TEXT_START)
+    if codec is not None and codec.name in _PAGE_FORMATS and is_whole:
         return raw
+    if not isinstance(content, Splats):
+        hint = "A page shows splats, points and generators; draw others with gsgen view."
+        raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
     with temporary_folder() as folder:
         target = folder / "splats.ply"
         write_ply(target, replace(content, origin=NO_ORIGIN))

@@ -1,47 +1,54 @@
 /** Loads bytes: from an address, or from a script element of the same document (`#id`). */
 
+import { ByteSource } from "./byte_source.js";
 import { failing } from "./errors.js";
 
 /**
+ * Open what lies at an address; its bytes arrive while they are taken.
  * @param {(loaded: number, total: number) => void} [onProgress] The total is 0 if nobody tells it.
  * @param {AbortSignal} [signal]
- * @returns {Promise<ArrayBuffer>}
+ * @param {RequestCache} [cache]
  */
-export async function download(source, onProgress = () => {}, signal) {
-  return source.startsWith("#") ? inlined(source) : (await downloadBlob(source, onProgress, signal)).arrayBuffer();
-}
-
-/**
- * @param {(loaded: number, total: number) => void} onProgress
- * @param {AbortSignal} [signal]
- */
-export async function downloadBlob(source, onProgress, signal) {
-  const fail = failing(source, "Is the address right, and may this page read it (CORS)?");
+export async function openSource(address, name = address, onProgress = () => {}, signal, cache) {
+  const fail = failing(address, "Is the address right, and may this page read it (CORS)?");
   let response;
   try {
-    response = await fetch(source, { signal });
+    response = await fetch(address, { signal, cache });
   } catch (error) {
     if (signal?.aborted) throw error;
     fail(`cannot be loaded: ${error.message}`);
   }
   if (!response.ok) fail(`cannot be loaded: ${response.status} ${response.statusText}`);
-  // The length is that of the packed bytes, which is unlike that of those which arrive.
-  const isPacked = response.headers.has("Content-Encoding");
-  const total = isPacked ? 0 : Number(response.headers.get("Content-Length") ?? 0);
-  const parts = [];
+  const length = Number(response.headers.get("Content-Length") ?? 0);
+  // Packed by the server, a file is longer than its header says; other origins hide whether it is.
+  const isPlain = response.type === "basic" && !response.headers.get("Content-Encoding");
   let loaded = 0;
-  const reader = response.body.getReader();
-  for (let { done, value } = await reader.read(); !done; { done, value } = await reader.read()) {
-    parts.push(value);
-    loaded += value.length;
-    onProgress(loaded, loaded <= total ? total : 0);
-  }
-  return new Blob(parts);
+  const counted = new TransformStream({
+    transform(piece, controller) {
+      loaded += piece.length;
+      onProgress(loaded, loaded > length || response.headers.get("Content-Encoding") ? 0 : length);
+      controller.enqueue(piece);
+    },
+  });
+  return new ByteSource(response.body.pipeThrough(counted), name, isPlain ? length : 0);
+}
+
+/** Return the bytes of an address, or of an element of this page. @returns {Promise<ArrayBuffer>} */
+export async function download(address, onProgress = () => {}, signal = /** @type {AbortSignal | undefined} */ (undefined)) {
+  if (address.startsWith("#")) return inlined(address);
+  const bytes = await (await openSource(address, address, onProgress, signal)).rest();
+  return bytes.length === bytes.buffer.byteLength ? bytes.buffer : bytes.slice().buffer;
+}
+
+/** Return the bytes of an address as a blob. */
+export async function downloadBlob(address, onProgress, signal = /** @type {AbortSignal | undefined} */ (undefined)) {
+  return new Blob([await (await openSource(address, address, onProgress, signal)).rest()]);
 }
 
 /** Return the value of bytes that are a JSON object; null of other bytes. */
 export function parsedJson(data) {
-  return new Uint8Array(data)[0] === 0x7b ? JSON.parse(new TextDecoder().decode(data)) : null;
+  const bytes = new Uint8Array(data.buffer ?? data, data.byteOffset ?? 0, data.byteLength);
+  return bytes[0] === 0x7b ? JSON.parse(new TextDecoder().decode(bytes)) : null;
 }
 
 /** Return the bytes of a script element that holds base64. */

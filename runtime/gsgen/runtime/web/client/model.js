@@ -1,13 +1,15 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
-import { parsedJson } from "./download.js";
+import { inlined, parsedJson } from "./download.js";
 import { boxAround } from "./framing.js";
-import { linearPart, plus, times } from "./matrices.js";
-import { readSplats } from "./splat_files.js";
+import { readInBackground } from "./file_reader.js";
+import { moved, plus } from "./matrices.js";
+import { inTurns } from "./once.js";
 import { SplatBuffers } from "./splat_buffers.js";
 
 export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
 
+/** @typedef {import("./host.js").KernelCache} KernelCache */
 /**
  * @typedef {object} Model
  * @property {any} buffers Its Gaussians in GPU memory.
@@ -47,53 +49,171 @@ export function mergedExtent(boxes) {
   return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
 }
 
-/** Return the model of a splat file. @returns {Model} */
-function stillModel({ device, plans }, splats) {
-  const buffers = new SplatBuffers(device, plans, splats);
-  const sets = [{ buffers, transform: splats.transform }];
-  const { center, half, reach } = extentOf(splats); // whose transform mirrors axes, at most
-  const extent = { center: times(linearPart(splats.transform), center), half, reach };
-  const [update, destroy] = [async () => false, () => buffers.destroy()];
-  const still = { time: null, inputs: [], followsCamera: false, update, destroy };
-  return { buffers, sets, extent, up: [0, -1, 0], ...still };
-}
+/** The model of a splat file, whose rows are drawn while they arrive. */
+class StillModel {
+  /** @param {import("./host.js").KernelCache} kernels @param {(isFirst: boolean) => void} onChange */
+  constructor({ device, plans }, onChange) {
+    this._device = device;
+    this._plans = plans;
+    this._onChange = onChange;
+    /** @type {{buffers: SplatBuffers, transform: readonly number[]}[]} */
+    this.sets = [];
+    /** @type {Float32Array[]} Rows of each part, that framing looks at. */
+    this._rows = [];
+    this._told = 0; // rows when somebody was last told
+    this.up = [0, -1, 0];
+    this.time = null;
+    this.inputs = [];
+    this.findings = [];
+    this.followsCamera = true; // until it is whole: each frame looks for new sets
+  }
 
-/** Return whether a JSON object is a scene file, and no tileset. */
-const isScene = (document) => ["gsgen_scene", "models", "meshes"].some((name) => name in document);
+  get buffers() {
+    const count = this.sets.reduce((sum, { buffers }) => sum + buffers.count, 0);
+    return { count, isLinear: this.sets.some(({ buffers }) => buffers.isLinear) };
+  }
+
+  get extent() {
+    const extents = this.sets.map(({ buffers, transform }, part) => {
+      const own = extentOf({ rows: this._rows[part], count: buffers.count });
+      return { ...own, center: moved(transform, own.center) }; // it mirrors axes, at most
+    });
+    const extent = extents.length === 1 ? extents[0] : mergedExtent(extents);
+    if (!this.followsCamera) Object.defineProperty(this, "extent", { value: extent });
+    return extent;
+  }
+
+  begin(facts) {
+    this.sets.push({ buffers: new SplatBuffers(this._device, this._plans, facts), transform: facts.transform });
+    this._rows.push(new Float32Array(10 * facts.count));
+    if (facts.up) this.up = facts.up;
+    return this.sets.length - 1;
+  }
+
+  write(part, first, rows, appearance) {
+    const { buffers } = this.sets[part];
+    buffers.write(first, rows, appearance);
+    if (!rows) return;
+    this._rows[part].set(rows, 10 * first);
+    buffers.count = first + rows.length / 10;
+    const { count } = this.buffers;
+    if (count < 2 * this._told) return; // more pictures would take longer than the file
+    this._onChange(!this._told);
+    this._told = count;
+  }
+
+  /** Say how many rows of a part there are. */
+  end(part, count) {
+    this.sets[part].buffers.count = count;
+  }
+
+  /** Say that there are no more parts. */
+  finish() {
+    this.followsCamera = false;
+    return this;
+  }
+
+  /** Return whether sets were added; those who share a model have their own. */
+  async update() {
+    return false;
+  }
+
+  destroy() {
+    for (const { buffers } of this.sets) buffers.destroy();
+  }
+}
 
 /**
  * @typedef {object} Options How tilesets are streamed, and generators checked.
  * @property {string} [source] Address of the tileset, to which those of its tiles are relative.
+ * @property {(loaded: number, total: number) => void} [onProgress]
+ * @property {AbortSignal} [signal]
  * @property {number} [maxError] Error in pixels above which tiles are refined.
  * @property {number} [maxSplats] Most Gaussians in GPU memory.
  * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.
- * @property {() => void} onChange Called when tiles have arrived.
+ * @property {(model: Model) => void} [onFirst] Called when the first rows of a file can be drawn.
+ * @property {() => void} onChange Called when more rows or tiles have arrived.
  * @property {(error: import("./errors.js").GsgenError) => void} onError
  * @property {(where: string, problem: string) => void} [onWarning] Told what a page does not draw.
- * @property {AbortSignal} [signal] Ends downloads.
  */
 
+/** Return what reads a source: an address, `#id` of an element that holds a file, or its bytes. */
+export function requestOf(source, name) {
+  if (typeof source !== "string") return { name, bytes: source };
+  if (source.startsWith("#")) return { name, bytes: inlined(source) };
+  return { name, address: String(new URL(source, document.baseURI)) };
+}
+
 /**
- * Open a model from its bytes.
- * @param {import("./host.js").KernelCache} kernels
- * @param {string} name Address of the file, for messages.
- * @param {Options} [options]
- * @returns {Promise<Model>}
+ * Read a file: its splats into GPU memory while they arrive, or else its bytes.
+ * @param {KernelCache | Promise<KernelCache>} kernels
+ * @param {import("./splat_files.js").Request} request
+ * @param {Pick<Options, "onProgress" | "onFirst" | "onChange" | "signal">} options
+ * @returns {Promise<StillModel | {kind: string, bytes: Uint8Array}>}
  */
-export async function openModel(kernels, data, name, options = { onChange() {}, onError() {} }) {
-  if (new Uint8Array(data)[0] === FIRST_OF_ONNX) {
+export async function readModel(kernels, request, { onProgress, onFirst = () => {}, onChange, signal }) {
+  /** @type {StillModel | null} */
+  let still = null;
+  const failure = Promise.withResolvers();
+  // Rows may arrive before the device is there: what they are told to follows in their order.
+  const inOrder = inTurns();
+  const told = (task) => {
+    const turn = inOrder(async () => {
+      const own = (still ??= new StillModel(await kernels, (isFirst) => (isFirst ? onFirst(own) : onChange())));
+      return signal?.aborted ? undefined : task(own);
+    });
+    turn.catch(failure.reject);
+    return turn;
+  };
+  let parts = 0;
+  const sink = {
+    begin(facts) {
+      told((model) => model.begin(facts));
+      return parts++;
+    },
+    write: (...words) => told((model) => model.write(...words)),
+    end: (...words) => told((model) => model.end(...words)),
+  };
+  const reading = readInBackground(request, sink, onProgress, signal).then((result) => {
+    return result.kind === "splats" ? told((model) => model.finish()) : result;
+  });
+  try {
+    const result = await Promise.race([reading, failure.promise]);
+    signal?.throwIfAborted();
+    return result;
+  } catch (error) {
+    /** @type {StillModel | null} */ (still)?.destroy();
+    throw error;
+  }
+}
+
+/** Return the model of what was read. @returns {Promise<Model>} */
+export async function modelOf(kernels, read, name, options) {
+  return read instanceof StillModel ? read : opened(await kernels, read, name, options);
+}
+
+/**
+ * Open a model; the promise resolves when all of it has arrived.
+ * @param {KernelCache | Promise<KernelCache>} kernels
+ * @param {string | ArrayBuffer} source Address of the file, `#id` of an element that holds it, or its bytes.
+ * @param {string} name Of the file, for messages.
+ * @param {Options} [options]
+ */
+export async function openModel(kernels, source, name, options = { onChange() {}, onError() {} }) {
+  return modelOf(kernels, await readModel(kernels, requestOf(source, name), options), name, options);
+}
+
+/** Open a generator, a scene or a tileset from its bytes. */
+async function opened(kernels, { kind, bytes }, name, options) {
+  if (kind === "onnx") {
     const { GeneratorModel } = await import("./generator.js");
-    return GeneratorModel.open(kernels, data, name, options);
+    return GeneratorModel.open(kernels, bytes, name, options);
   }
-  const document = parsedJson(data);
-  if (document && isScene(document)) {
+  if (kind === "scene") {
     const { Stage } = await import("./stage.js");
-    return Stage.open(kernels, document, name, options);
+    return Stage.open(kernels, parsedJson(bytes), name, options);
   }
-  if (document) {
-    const { TilesetModel } = await import("./tileset.js");
-    return new TilesetModel(kernels, document, name, options);
-  }
-  return stillModel(kernels, await readSplats(data, name));
+  const { TilesetModel } = await import("./tileset.js");
+  return new TilesetModel(kernels, parsedJson(bytes), name, options);
 }

@@ -136,6 +136,7 @@ export const or = (first, ...others) => others.reduce((value, next) => (bool(val
 export const and = (first, ...others) => others.reduce((value, next) => (bool(value) ? next() : value), first);
 
 export function eq(a, b) {
+  if (a instanceof Set && b instanceof Set) return a.size === b.size && [...a].every((key) => b.has(key));
   if (!Array.isArray(a) || !Array.isArray(b)) return keyOf(a) === keyOf(b);
   return a.length === b.length && a.every((entry, i) => eq(entry, b[i]));
 }
@@ -145,6 +146,29 @@ export function compare(a, b) {
   if (!Array.isArray(a)) return a < b ? -1 : Number(a > b);
   const first = a.findIndex((entry, i) => i >= b.length || !eq(entry, b[i]));
   return first < 0 || first >= b.length ? a.length - b.length : compare(a[first], b[first]);
+}
+
+// Bytes: texts of a character each.
+export const fromBytes = (bytes) => [...bytes].reduceRight((number, byte) => 256 * number + byte.charCodeAt(0), 0);
+
+/** Return the text of a file's first bytes, the last of which may be cut off. */
+export function decoded(bytes) {
+  const encoding = { "\xff\xfe": "utf-16le", "\xfe\xff": "utf-16be" }[bytes.slice(0, 2)] ?? "utf-8";
+  const numbers = Uint8Array.from(bytes, (byte) => byte.charCodeAt(0));
+  return new TextDecoder(encoding).decode(numbers, { stream: true });
+}
+
+export const endsWith = (text, ends) => [ends].flat().some((end) => text.endsWith(end));
+export const startsWith = (text, starts) => [starts].flat().some((start) => text.startsWith(start));
+
+export function partition(text, mark) {
+  const place = text.indexOf(mark);
+  return place < 0 ? [text, "", ""] : [text.slice(0, place), mark, text.slice(place + mark.length)];
+}
+
+export function rpartition(text, mark) {
+  const place = text.lastIndexOf(mark);
+  return place < 0 ? ["", "", text] : [text.slice(0, place), mark, text.slice(place + mark.length)];
 }
 
 // Containers.

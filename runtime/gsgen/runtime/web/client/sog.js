@@ -1,32 +1,12 @@
-/** Reads SOG files, version 2 (PlayCanvas): Gaussians in lossless WebP images, in a zip archive. */
+/** Reads SOG files, versions 1 and 2 (PlayCanvas): Gaussians in lossless WebP images, zipped or beside each other. */
 
 import { parsedJson } from "./download.js";
 import { GsgenError, failing } from "./errors.js";
-import { RowWriter, inflated, withLargest } from "./splat_files.js";
+import { RowWriter, SHARE_LOGITS, setFromLargest, turn } from "./row_writer.js";
 
-const [END, END_BYTES, ENTRY_BYTES, HEADER_BYTES] = [0x06054b50, 22, 46, 30]; // of zip archives
 const PALETTE_WIDTH = 64; // entries in a row of the image of harmonics
 const FIRST_TAG = 252; // alpha of a quaternion whose largest part is the first
-
-/** Return the packed files of a zip archive by name: their bytes, and whether they are deflated. */
-function filesOf(data, fail) {
-  const view = new DataView(data);
-  let end = data.byteLength - END_BYTES;
-  while (end >= 0 && view.getUint32(end, true) !== END) end--;
-  if (end < 0) fail("is a zip archive without a directory");
-  const files = new Map();
-  let entry = view.getUint32(end + 16, true);
-  for (let index = 0; index < view.getUint16(end + 10, true); index++) {
-    const [method, length, ...others] = [10, 28, 30, 32].map((i) => view.getUint16(entry + i, true));
-    const [size, local] = [20, 42].map((i) => view.getUint32(entry + i, true));
-    const file = new TextDecoder().decode(new Uint8Array(data, entry + ENTRY_BYTES, length));
-    const lengths = [26, 28].map((i) => view.getUint16(local + i, true));
-    const first = local + HEADER_BYTES + lengths[0] + lengths[1];
-    files.set(file, { bytes: data.slice(first, first + size), isDeflated: method === 8 });
-    entry += ENTRY_BYTES + length + others[0] + others[1];
-  }
-  return files;
-}
+const AGAIN = "Download it again, or convert it: gsgen convert FILE model.spz";
 
 /** @type {WebGL2RenderingContext | null} */
 let context = null;
@@ -52,64 +32,135 @@ async function pixelsOf(data, needed, fail) {
   gl.deleteTexture(texture);
   gl.deleteFramebuffer(framebuffer);
   bitmap.close();
-  return pixels;
+  return { pixels, width, height };
 }
 
-/** Return the quaternion w, x, y, z of a pixel, whose alpha names the largest part. */
-function quaternionOf(pixels, first) {
-  const tag = pixels[first + 3] - FIRST_TAG;
-  if (tag < 0) return [1, 0, 0, 0];
-  const parts = [0, 1, 2].map((i) => (pixels[first + i] / 127.5 - 1) * Math.SQRT1_2);
-  return withLargest(tag, parts);
+/** Read a zipped SOG, whose archive may hold the name of its folder, too. */
+export async function readSog(files, name, { sink }) {
+  const meta = [...files.keys()].filter((file) => file.split("/").pop() === "meta.json");
+  const folder = meta.reduce((best, file) => (file.length < best.length ? file : best)).slice(0, -"meta.json".length);
+  const fetchBytes = (file) => {
+    const entry = files.get(folder + file) ?? failing(name, AGAIN)(`has no file ${file}`);
+    return entry.open().rest();
+  };
+  await writeSog(parsedJson(await fetchBytes("meta.json")), fetchBytes, name, sink);
 }
 
-/** @returns {Promise<import("./splat_buffers.js").Splats>} */
-export async function readSog(data, name) {
-  const fail = failing(name, "Download it again, or convert it: gsgen convert FILE model.spz");
+/** @param {import("./byte_source.js").ByteSource} source @param {import("./splat_files.js").Context} context */
+export async function readSogMeta(source, context) {
+  const { sink, beside } = context;
+  const meta = parsedJson(await source.rest());
+  if (!meta.lodLevels && !meta.tree) return writeSog(meta, (file) => beside(file), source.name, sink);
+  const ranges = finestRanges(meta, source.name);
+  const inner = async (path, rows) => {
+    const folder = path.slice(0, path.lastIndexOf("/") + 1);
+    const own = parsedJson(await beside(path));
+    if (!own?.means) failing(path, AGAIN)("is not the meta.json of a SOG");
+    await writeSog(own, (file) => beside(folder + file), path, sink, rows);
+  };
+  for (const [path, rows] of ranges) await inner(path, rows);
+  if (meta.environment) await inner(meta.environment, null);
+}
+
+/** Return the rows of each file that the finest level of a streamed SOG has. */
+function finestRanges({ filenames, tree }, name) {
+  const fail = failing(name, "Download it again.");
+  if (!Array.isArray(filenames)) fail("has no list of filenames");
+  /** @type {Map<number, [number, number][]>} */
+  const ranges = new Map();
+  const nodes = [tree];
+  while (nodes.length) {
+    const node = nodes.pop();
+    if (node?.children?.length) {
+      nodes.push(...node.children.toReversed());
+      continue;
+    }
+    const levels = Object.keys(node?.lods ?? {}).filter((key) => /^\d+$/.test(key)).map(Number);
+    const { file, offset, count } = node?.lods?.[Math.min(...levels)] ?? {};
+    const isRange = [file, offset, count].every((x) => Number.isInteger(x) && x >= 0) && count > 0 && file < filenames.length;
+    if (!isRange) fail(`has a leaf with the levels ${JSON.stringify(node?.lods)}`);
+    if (!ranges.has(file)) ranges.set(file, []);
+    ranges.get(file)?.push([offset, count]);
+  }
+  const files = [...ranges].sort(([a], [b]) => a - b);
+  return files.map(([file, parts]) => [filenames[file], parts.sort(([a], [b]) => a - b)]);
+}
+
+async function writeSog(meta, fetchBytes, name, sink, ranges = null) {
+  const fail = failing(name, AGAIN);
   try {
-    return await decoded(data, name, fail);
+    await decode(meta, fetchBytes, name, sink, ranges, fail);
   } catch (error) {
-    if (error instanceof GsgenError) throw error;
-    return fail(`cannot be read: ${error.message}`);
+    if (error instanceof GsgenError || error.name === "AbortError") throw error;
+    fail(`cannot be read: ${error.message}`);
   }
 }
 
-async function decoded(data, name, fail) {
-  const files = filesOf(data, fail);
-  const contentOf = (file) => {
-    const { bytes, isDeflated } = files.get(file) ?? fail(`has no file ${file}`);
-    return isDeflated ? inflated(bytes, name, "deflate-raw") : bytes;
+/** Return the numbers that bytes of each channel stand for: of a codebook, or in version 1 of a range. */
+function booksOf({ codebook, mins, maxs }, channels) {
+  if (codebook) return Array.from({ length: channels }, () => Float32Array.from(codebook));
+  const [low, high] = [[mins].flat(), [maxs].flat()];
+  return low.map((least, i) => Float32Array.from({ length: 256 }, (_, byte) => least + (high[i] - least) * (byte / 255)));
+}
+
+async function decode(meta, fetchBytes, name, sink, ranges, fail) {
+  const { version = 1, means, scales, quats, sh0, shN, antialias, model } = meta;
+  if (version !== 1 && version !== 2) fail(`has version ${version} of SOG, expected 1 or 2`);
+  const count = version === 1 ? means.shape[0] : meta.count;
+  const read = async ({ files }, needed = count) => {
+    return Promise.all(files.map(async (file) => pixelsOf(await fetchBytes(file), needed, fail)));
   };
-  const meta = parsedJson(await contentOf("meta.json"));
-  const { version, count, means, scales, quats, sh0, shN, antialias, model } = meta;
-  if (version !== 2) fail(`has version ${version} of SOG, expected 2`);
-  const higher = shN ? (shN.bands + 1) ** 2 - 1 : 0;
-  const images = [...means.files, ...scales.files, ...quats.files, ...sh0.files, ...(shN?.files ?? [])];
-  const [low, high, sizes, turns, colors, palette, labels] = await Promise.all(
-    images.map(async (file) => {
-      const needed = file === shN?.files[0] ? PALETTE_WIDTH * higher * Math.ceil(shN.count / PALETTE_WIDTH) : count;
-      return pixelsOf(await contentOf(file), needed, fail);
-    }),
+  // One image after the other: their pixels take more memory than their files.
+  const [[low, high], [sizes], [turns], [colors]] = [await read(means), await read(scales), await read(quats), await read(sh0)].map(
+    (images) => images.map(({ pixels }) => pixels),
   );
-  const writer = new RowWriter(count, 1 + higher);
-  for (let row = 0; row < count; row++) {
+  const [palette, labels] = shN ? await read(shN, 1) : [];
+  // The width of a palette says its degree; version 2 repeats it.
+  const higher = palette ? palette.width / PALETTE_WIDTH : 0;
+  const entries = version === 1 ? PALETTE_WIDTH * (palette?.height ?? 0) : shN?.count;
+  const isWhole = !shN || ([3, 8, 15].includes(higher) && higher === (shN.bands ? (shN.bands + 1) ** 2 - 1 : higher));
+  const isLarge = !shN || (palette.height * PALETTE_WIDTH >= entries && labels.width * labels.height >= count);
+  if (!isWhole || !isLarge) fail(`has a palette of ${palette.width} × ${palette.height} pixels for ${entries} entries`);
+  const [sizeBooks, colorBooks, [harmonics]] = [booksOf(scales, 3), booksOf(sh0, 4), shN ? booksOf(shN, 1) : []];
+  const logits = version === 1 ? colorBooks[3] : SHARE_LOGITS;
+  const { mins, maxs } = means;
+  const isMip = antialias === true || model === "antialiased";
+  const parts = ranges ?? [[0, count]];
+  const total = parts.reduce((sum, [, rows]) => sum + rows, 0);
+  const writer = new RowWriter(sink, name, { count: total, coefficients: 1 + higher, antialias: isMip });
+  const place = (first, axis) => {
+    const share = (low[first + axis] | (high[first + axis] << 8)) / 65535;
+    const stored = mins[axis] * (1 - share) + maxs[axis] * share;
+    return Math.sign(stored) * Math.expm1(Math.abs(stored));
+  };
+  const writeRow = (row) => {
     const first = 4 * row;
-    const center = [0, 1, 2].map((i) => {
-      const share = (low[first + i] + 256 * high[first + i]) / 65535;
-      const stored = means.mins[i] * (1 - share) + means.maxs[i] * share;
-      return Math.sign(stored) * Math.expm1(Math.abs(stored));
-    });
-    const scale = [0, 1, 2].map((i) => scales.codebook[sizes[first + i]]);
-    writer.set(row, center, colors[first + 3] / 255, scale, quaternionOf(turns, first));
-    const base = row * writer.channels;
-    for (let i = 0; i < 3; i++) writer.appearance[base + i] = sh0.codebook[colors[first + i]];
-    if (!higher) continue;
-    const label = labels[first] + 256 * labels[first + 1];
-    if (label >= shN.count) fail(`has the palette label ${label}, expected 0 to ${shN.count - 1}`);
-    for (let i = 3; i < writer.channels; i++) {
-      const pixel = label * higher + Math.floor(i / 3) - 1;
-      writer.appearance[base + i] = shN.codebook[palette[4 * pixel + (i % 3)]];
+    const tag = turns[first + 3] - FIRST_TAG;
+    const small = (i) => (turns[first + i] / 127.5 - 1) * Math.sqrt(0.5);
+    if (tag < 0) turn.set([1, 0, 0, 0]);
+    else setFromLargest(tag, small(0), small(1), small(2));
+    const base = writer.place(
+      place(first, 0), place(first, 1), place(first, 2), turn[0], turn[1], turn[2], turn[3],
+      sizeBooks[0][sizes[first]], sizeBooks[1][sizes[first + 1]], sizeBooks[2][sizes[first + 2]], logits[colors[first + 3]],
+    );
+    for (let i = 0; i < 3; i++) writer.appearance[base + i] = colorBooks[i][colors[first + i]];
+    if (higher) {
+      const label = labels.pixels[first] + 256 * labels.pixels[first + 1];
+      if (label >= entries) fail(`has the palette label ${label}, expected 0 to ${entries - 1}`);
+      for (let k = 0; k < higher; k++) {
+        const pixel = 4 * (label * higher + k);
+        for (let i = 0; i < 3; i++) writer.appearance[base + 3 + 3 * k + i] = harmonics[palette.pixels[pixel + i]];
+      }
+    }
+    writer.keep();
+  };
+  for (const [start, rows] of parts) {
+    if (start + rows > count) fail(`has ${count} splats, and a tree lists splat ${start + rows - 1}`);
+    for (let row = start; row < start + rows; row++) {
+      writeRow(row);
+      if (writer.used === writer.batch) await writer.flush();
     }
   }
-  return writer.splats(antialias === true || model === "antialiased" ? "mip" : "classic");
+  await writer.flush();
+  writer.end();
 }

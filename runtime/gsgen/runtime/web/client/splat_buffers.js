@@ -53,34 +53,53 @@ export function pagesOf(plans, storage, rows, appearance, capacity) {
   return pages;
 }
 
-/** Gaussians of a file in GPU memory. */
+/** Gaussians in GPU memory, whose rows may arrive one after the other. */
 export class SplatBuffers {
-  /** @param {GPUDevice} device @param {Splats} splats */
-  constructor(device, plans, splats) {
-    const { rows, appearance, channels, space, count } = splats;
-    const isHalf = appearance instanceof Uint16Array;
-    const storage = appearanceKind(plans, channels, isHalf ? "float16" : "float32");
-    this.count = count;
-    this.capacity = rows.length / 10;
+  /**
+   * @param {GPUDevice} device
+   * @param {{count: number, channels: number, space: "sh" | "rgb", antialias?: "classic" | "mip",
+   *     colorSpace?: "srgb" | "linear"}} facts The count is that of all rows there will be.
+   */
+  constructor(device, plans, facts, dtype = "float32") {
+    const { count, channels, space, antialias, colorSpace } = facts;
+    const storage = appearanceKind(plans, channels, dtype);
+    this.count = 0; // rows that are there
+    this.capacity = count;
     this.degree = degreeOf(channels, space);
-    this.antialias = splats.antialias ?? "classic";
-    this.isLinear = splats.colorSpace === "linear";
+    this.antialias = antialias ?? "classic";
+    this.isLinear = colorSpace === "linear";
     /** @type {GPUBuffer | null} Live rows of each page, where only the GPU knows them. */
     this.liveCounts = null;
-    this._rows = storageBuffer(device, "rows", ROW_BYTES * this.capacity);
-    this._appearance = storageBuffer(device, "appearance", storage.bytes * this.capacity);
-    this.pages = pagesOf(plans, storage, this._rows, this._appearance, this.capacity);
+    this._rows = storageBuffer(device, "rows", ROW_BYTES * count);
+    this._appearance = storageBuffer(device, "appearance", storage.bytes * count);
+    this.pages = pagesOf(plans, storage, this._rows, this._appearance, count);
     this._device = device;
-    this._length = storage.bytes / appearance.BYTES_PER_ELEMENT;
-    this.write(rows, appearance, channels);
+    this._bytes = storage.bytes;
+    this.stride = storage.bytes / (dtype === "float16" ? 2 : 4); // numbers of appearance per row
   }
 
-  /** Write the first rows. */
-  write(rows, appearance, channels) {
-    const padded = paddedRows(appearance, channels, this._length);
-    for (const [buffer, array] of [[this._rows, rows], [this._appearance, padded]]) {
-      this._device.queue.writeBuffer(buffer, 0, array.buffer, array.byteOffset, array.byteLength);
-    }
+  /** Return buffers with the rows of splats. @param {Splats} splats */
+  static of(device, plans, splats) {
+    const { rows, appearance, channels, count } = splats;
+    const dtype = appearance instanceof Uint16Array ? "float16" : "float32";
+    const buffers = new SplatBuffers(device, plans, { ...splats, count: rows.length / 10 }, dtype);
+    buffers.write(0, rows, paddedRows(appearance, channels, buffers.stride));
+    buffers.count = count;
+    return buffers;
+  }
+
+  /**
+   * Write rows from one on.
+   * @param {Float32Array | null} rows
+   * @param {Float32Array | Uint16Array} appearance Filled up to whole vectors of four numbers.
+   */
+  write(first, rows, appearance) {
+    const { queue } = this._device;
+    const copy = (buffer, offset, { buffer: bytes, byteOffset, byteLength }) => {
+      queue.writeBuffer(buffer, offset, bytes, byteOffset, byteLength);
+    };
+    if (rows) copy(this._rows, ROW_BYTES * first, rows);
+    copy(this._appearance, this._bytes * first, appearance);
   }
 
   /** Release the buffers. */
@@ -91,7 +110,7 @@ export class SplatBuffers {
 }
 
 /** Return rows of numbers, each filled up with zeros to a length. */
-function paddedRows(numbers, channels, length) {
+export function paddedRows(numbers, channels, length) {
   if (channels === length) return numbers;
   const count = numbers.length / channels;
   const Numbers = /** @type {any} */ (numbers.constructor);

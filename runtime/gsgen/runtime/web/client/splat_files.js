@@ -1,201 +1,154 @@
-/** Reads splat files into the contract's packed rows: PLY of 3D Gaussian splatting, SPZ and SOG. */
+/** Opens files that a page shows: tells what they are, unpacks archives, and reads splats. */
 
+import { ByteSource } from "./byte_source.js";
+import { openSource } from "./download.js";
 import { failing } from "./errors.js";
-import { IDENTITY } from "./matrices.js";
+import { RECOGNITION_BYTES, archiveKind, contentKind } from "./file_kinds.js";
+import { looksLikeKsplat } from "./ksplat.js";
+import { looksLikeSplat } from "./splat_rows.js";
 
-const MOST_COEFFICIENTS = 16; // degree 3
-const CONVERT = "Convert it: gsgen convert FILE model.spz";
-// Axes right, up, back → right, down, forward.
-const FROM_SPZ_AXES = Object.freeze([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1]);
+const READABLE = "Pages read .ply, .spz, .splat, .ksplat, .sog, .glb and .gltf of splats, lod-meta.json, tileset.json and .onnx.";
+const SCENE_KEY = /"(models|meshes)"\s*:/;
+const MOST_NESTED = 2; // archives within each other
+const SUFFIXES = /\.(ply|spz|splat|ksplat|sog|glb|gltf)(\.gz)?$/i;
 
 /**
- * Read a splat file.
- * @param {string} name Its address, for messages.
+ * What readers of formats get beside the bytes.
+ * @typedef {object} Context
+ * @property {import("./row_writer.js").Sink} sink Takes the rows.
+ * @property {(file: string) => Promise<Uint8Array>} beside Returns the bytes of a file in the same folder.
+ */
+
+/** Readers by the kinds of `contract/file_kinds`. @type {Record<string, (source: ByteSource, context: Context) => Promise<void>>} */
+const READERS = {
+  ply: async (source, context) => (await import("./ply.js")).readPly(source, context),
+  spz: async (source, context) => (await import("./spz.js")).readSpz(source, context),
+  glb: async (source, context) => (await import("./glb.js")).readGlb(source, context),
+  gltf: async (source, context) => (await import("./glb.js")).readGltf(source, context),
+  sog: async (source, context) => (await import("./sog.js")).readSogMeta(source, context),
+  ksplat: async (source, context) => (await import("./ksplat.js")).readKsplat(source, context),
+  splat: async (source, context) => (await import("./splat_rows.js")).readSplat(source, context),
+};
+const READER_OF_KIND = {
+  "ply-splats": "ply", "compressed-ply": "ply", "ply-points": "ply", spz: "spz", glb: "glb", "glb-splats": "glb",
+  "gltf-splats": "gltf", sog: "sog", "streamed-sog": "sog",
+};
+
+/**
+ * What is to be read: an address, or bytes; `name` is for messages.
+ * @typedef {{name: string, address?: string, bytes?: ArrayBuffer | Uint8Array, cache?: RequestCache}} Request
+ */
+
+/**
+ * Read a file; its splats go to the sink, other files that pages know are returned.
+ * @param {Request} request
+ * @param {import("./row_writer.js").Sink} sink
+ * @param {(loaded: number, total: number) => void} [onProgress]
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<{kind: "splats" | "onnx" | "tileset" | "scene", bytes?: Uint8Array}>}
+ */
+export async function readRequest({ name, address, bytes, cache }, sink, onProgress, signal) {
+  const source = bytes ? ByteSource.of(bytes, name) : await openSource(address, name, onProgress, signal, cache);
+  const beside = async (file) => {
+    const folder = new URL(".", /^https?:|^file:/.test(address ?? "") ? address : "none:/");
+    const place = new URL(file, folder);
+    const isInside = folder.protocol !== "none:" && String(place).startsWith(String(folder));
+    if (!isInside) failing(name, "Pack the folder into a ZIP archive, or show it by its address.")(`refers to the file ${file}, which is not beside it`);
+    return (await openSource(String(place), file, undefined, signal)).rest();
+  };
+  return readFile(source, { sink, beside });
+}
+
+/** Return the first bytes of a file as a text with a character for each, as `file_kinds.js` reads them. */
+function textOf(head) {
+  let text = "";
+  for (let i = 0; i < head.length; i += 4096) text += String.fromCharCode(...head.subarray(i, i + 4096));
+  return text;
+}
+
+/** Return what kind of file begins so, and which reader it has. */
+function recognised(head, size) {
+  const kind = contentKind(textOf(head));
+  const marked = READER_OF_KIND[kind?.name];
+  // Formats without a mark are told by their first rows, as Python tells them.
+  const unmarked = looksLikeKsplat(head, size) ? "ksplat" : looksLikeSplat(head, size) ? "splat" : undefined;
+  return { kind, reader: marked ?? unmarked };
+}
+
+/** @returns {Promise<{kind: "splats" | "onnx" | "tileset" | "scene", bytes?: Uint8Array}>} */
+async function readFile(source, context) {
+  for (let depth = 0; ; depth++) {
+    const { name } = source;
+    const head = await source.peek(RECOGNITION_BYTES);
+    const [first, second] = head;
+    if (first === 0x1f && second === 0x8b && depth < MOST_NESTED) {
+      source = source.unpacked("gzip");
+      continue;
+    }
+    if (first === 0x50 && second === 0x4b && head[2] === 3) {
+      const { filesOfZip } = await import("./zip.js");
+      const files = filesOfZip(await source.rest(), name);
+      const kind = archiveKind([...files.keys()]);
+      if (kind.name === "sog") {
+        await (await import("./sog.js")).readSog(files, name, context);
+        return { kind: "splats" };
+      }
+      source = await fileOfZip(files, kind, name, depth);
+      continue;
+    }
+    const { kind, reader } = recognised(head, source.size);
+    if (reader) {
+      await READERS[reader](source, context);
+      return { kind: "splats" };
+    }
+    if (kind?.name === "onnx" || (!kind && /\.onnx$/i.test(name))) return { kind: "onnx", bytes: await source.rest() };
+    if (kind?.name === "tileset") return { kind: "tileset", bytes: await source.rest() };
+    const isScene = kind?.name === "scene" || (kind?.name === "json" && SCENE_KEY.test(textOf(head)));
+    if (isScene) return { kind: "scene", bytes: await source.rest() };
+    const problem = kind ? `is ${kind.title}` : `begins with ${[...head.subarray(0, 5)].map((byte) => byte.toString(16).padStart(2, "0")).join(" ")}, as no file of splats does`;
+    return failing(name, kind?.hint || READABLE)(`${problem}; expected splats or a generator`);
+  }
+}
+
+/** Return the one file of an archive that can be read. */
+async function fileOfZip(files, kind, name, depth) {
+  const readable = [];
+  for (const [file, { size, open }] of depth < MOST_NESTED ? files : []) {
+    const isHidden = file.split("/").some((part) => part.startsWith(".") || part === "__MACOSX");
+    if (isHidden || file.endsWith("/") || !size) continue;
+    const found = recognised(await open().peek(RECOGNITION_BYTES), size);
+    const isPacked = !found.kind || ["zip", "gzip"].includes(found.kind.name);
+    if (found.reader || (isPacked && SUFFIXES.test(file))) readable.push({ file, open });
+  }
+  const names = readable.slice(0, 4).map(({ file }) => file).join(", ");
+  if (readable.length > 1) failing(name, "Unpack it, and name one of them.")(`holds ${readable.length} files of splats: ${names}`);
+  if (!readable.length) failing(name, kind.hint || READABLE)(`is ${kind.title}; expected a file of splats in it`);
+  return readable[0].open();
+}
+
+/**
+ * Return the first part of a file of splats, from its bytes.
+ * @param {ArrayBuffer} data
  * @returns {Promise<import("./splat_buffers.js").Splats>}
  */
 export async function readSplats(data, name) {
-  const start = new Uint8Array(data, 0, Math.min(4, data.byteLength));
-  const magic = String.fromCharCode(...start);
-  if (magic.startsWith("ply")) return readPly(data, name);
-  if (start[0] === 0x1f && start[1] === 0x8b) return readSpz(await inflated(data, name), name);
-  if (magic === "NGSP") return readSpz(data, name);
-  if (magic === "PK\x03\x04") return (await import("./sog.js")).readSog(data, name);
-  const hint = "The page reads .ply, .spz (versions 1 to 3), .sog and .onnx. " + CONVERT;
-  return failing(name, hint)("is neither PLY nor SPZ nor SOG");
-}
-
-/** Unpack bytes. @param {CompressionFormat} format */
-export async function inflated(data, name, format = "gzip") {
-  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream(format));
-  try {
-    return await new Response(stream).arrayBuffer();
-  } catch (error) {
-    return failing(name, "Download it again.")(`cannot be unpacked: ${error.message}`);
-  }
-}
-
-/** Arrays of Gaussians that fill one after the other. */
-export class RowWriter {
-  constructor(count, coefficients) {
-    this.count = count;
-    this.channels = 3 * coefficients;
-    this.rows = new Float32Array(10 * count);
-    this.appearance = new Float32Array(this.channels * count);
-  }
-
-  /**
-   * Write a row; the covariance is R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
-   * @param {number[]} quaternion w, x, y, z; a zero quaternion turns nothing.
-   */
-  set(index, center, opacity, logScale, quaternion) {
-    const norm = Math.hypot(...quaternion);
-    const [w, x, y, z] = norm ? quaternion.map((part) => part / norm) : [1, 0, 0, 0];
-    const [a, b, c] = logScale.map(Math.exp);
-    const m = [
-      a * (1 - 2 * (y * y + z * z)), b * 2 * (x * y - w * z), c * 2 * (x * z + w * y),
-      a * 2 * (x * y + w * z), b * (1 - 2 * (x * x + z * z)), c * 2 * (y * z - w * x),
-      a * 2 * (x * z - w * y), b * 2 * (y * z + w * x), c * (1 - 2 * (x * x + y * y)),
-    ];
-    const entry = (i, j) => m[i] * m[j] + m[i + 1] * m[j + 1] + m[i + 2] * m[j + 2];
-    const covariance = [entry(0, 0), entry(0, 3), entry(0, 6), entry(3, 3), entry(3, 6), entry(6, 6)];
-    this.rows.set([...center, opacity, ...covariance], 10 * index);
-  }
-
-  /** @returns {import("./splat_buffers.js").Splats} */
-  splats(antialias, transform = IDENTITY) {
-    const { rows, appearance, channels, count } = this;
-    return { rows, appearance, channels, count, space: "sh", antialias, transform };
-  }
-}
-
-const sigmoid = (x) => 1 / (1 + Math.exp(-x));
-
-const PLY_READERS = {
-  float: ["getFloat32", 4], float32: ["getFloat32", 4],
-  double: ["getFloat64", 8], float64: ["getFloat64", 8],
-  uchar: ["getUint8", 1], uint8: ["getUint8", 1], char: ["getInt8", 1], int8: ["getInt8", 1],
-  ushort: ["getUint16", 2], uint16: ["getUint16", 2], short: ["getInt16", 2], int16: ["getInt16", 2],
-  uint: ["getUint32", 4], uint32: ["getUint32", 4], int: ["getInt32", 4], int32: ["getInt32", 4],
-};
-
-/** Return the columns of a PLY file's vertices, its count, and where the bytes begin. */
-function plyHeader(data, name) {
-  const head = new TextDecoder("latin1").decode(new Uint8Array(data, 0, Math.min(65536, data.byteLength)));
-  const end = head.search(/end_header\r?\n/);
-  const fail = failing(name, CONVERT);
-  if (end < 0) fail("has no end_header in its first 65536 bytes");
-  const lines = head.slice(0, end).split(/\r?\n/).map((line) => line.trim().split(/\s+/));
-  if (!lines.some(([word, kind]) => word === "format" && kind === "binary_little_endian")) {
-    fail("is not binary_little_endian, which pages read");
-  }
-  const elements = lines.filter(([word]) => word === "element");
-  if (elements[0]?.[1] !== "vertex" || elements[0].length !== 3) fail("does not begin with vertices");
-  if (elements.length > 1) fail("has more than vertices: a mesh, or a compressed PLY");
-  const columns = new Map();
-  let size = 0;
-  for (const [word, type, column] of lines) {
-    if (word !== "property") continue;
-    if (!(type in PLY_READERS)) fail(`has a property of type ${type}`);
-    columns.set(column, { read: PLY_READERS[type][0], offset: size });
-    size += PLY_READERS[type][1];
-  }
-  const count = Number(elements[0][2]);
-  const first = end + head.slice(end).indexOf("\n") + 1;
-  if (first + size * count > data.byteLength) {
-    fail(`ends after ${data.byteLength} bytes, expected ${first + size * count}`, "Download it again.");
-  }
-  return { columns, size, count, first };
-}
-
-function readPly(data, name) {
-  const { columns, size, count, first } = plyHeader(data, name);
-  const fail = failing(name, CONVERT);
-  const view = new DataView(data);
-  const required = ["x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2"];
-  required.push(...[0, 1, 2].map((i) => `scale_${i}`), ...[0, 1, 2, 3].map((i) => `rot_${i}`));
-  const missing = required.filter((column) => !columns.has(column));
-  const hint = "A PLY of Gaussians has x y z f_dc_* opacity scale_* rot_*. " + CONVERT;
-  if (missing.length) fail(`has no ${missing.join(", ")}`, hint);
-  const numbers = (names) => names.map((column) => columns.get(column));
-  const read = (row, { read: method, offset }) => view[method](first + row * size + offset, true);
-  const higher = [...columns.keys()].filter((column) => column.startsWith("f_rest_")).length;
-  const stored = 1 + higher / 3;
-  if (![1, 4, 9, 16, 25].includes(stored)) fail(`has ${higher} columns f_rest_*, expected 0, 9, 24 or 45`);
-  const coefficients = Math.min(stored, MOST_COEFFICIENTS);
-  const [center, scale, turn] = [required.slice(0, 3), required.slice(7, 10), required.slice(10)].map(numbers);
-  const [opacity] = numbers(["opacity"]);
-  // f_rest holds all red coefficients, then all green, then all blue.
-  const harmonics = numbers(["f_dc_0", "f_dc_1", "f_dc_2"]);
-  for (let k = 1; k < coefficients; k++) {
-    for (let c = 0; c < 3; c++) harmonics.push(columns.get(`f_rest_${c * (stored - 1) + k - 1}`));
-  }
-  const writer = new RowWriter(count, coefficients);
-  for (let row = 0; row < count; row++) {
-    const value = (column) => read(row, column);
-    writer.set(row, center.map(value), sigmoid(value(opacity)), scale.map(value), turn.map(value));
-    const base = row * writer.channels;
-    for (let i = 0; i < harmonics.length; i++) writer.appearance[base + i] = read(row, harmonics[i]);
-  }
-  return writer.splats("classic");
-}
-
-/** SPZ of nianticlabs/spz, versions 1 to 3, unpacked; rows keep its axes: right, up, back. */
-function readSpz(data, name) {
-  const view = new DataView(data);
-  const fail = failing(name, CONVERT);
-  if (data.byteLength < 16) fail("ends within the header", "Download it again.");
-  const magic = view.getUint32(0, true);
-  const [version, count] = [view.getUint32(4, true), view.getUint32(8, true)];
-  const [degree, bits, flags] = [12, 13, 14].map((offset) => view.getUint8(offset));
-  if (magic !== 0x5053474e) fail("is not an SPZ file");
-  if (version < 1 || version > 3) fail(`has version ${version} of SPZ, expected 1, 2 or 3`);
-  if (degree > 3) fail(`has SH of degree ${degree}, expected 0 to 3`);
-  if (flags & 2) fail("has extensions, which may turn its axes");
-  const stored = (degree + 1) ** 2;
-  const widths = [version === 1 ? 6 : 9, 1, 3, 3, version <= 2 ? 3 : 4, 3 * (stored - 1)];
-  const starts = [16];
-  for (const width of widths) starts.push(starts[starts.length - 1] + width * count);
-  if (starts[6] !== data.byteLength) {
-    fail(`unpacks to ${data.byteLength} bytes, expected ${starts[6]}`, "Download it again.");
-  }
-  const bytes = new Uint8Array(data);
-  const writer = new RowWriter(count, stored);
-  for (let row = 0; row < count; row++) {
-    const [p, a, c, s, r, h] = starts.map((start, i) => start + widths[i] * row);
-    const center = [0, 1, 2].map((i) => spzCoordinate(view, bytes, p, i, version, bits));
-    const scale = [0, 1, 2].map((i) => bytes[s + i] / 16 - 10);
-    const turnBytes = [0, 1, 2].map((i) => bytes[r + i] / 127.5 - 1);
-    const turn = version <= 2 ? withLargest(0, turnBytes) : wordRotation(view.getUint32(r, true));
-    writer.set(row, center, bytes[a] / 255, scale, turn);
-    const base = row * writer.channels;
-    for (let i = 0; i < 3; i++) writer.appearance[base + i] = (bytes[c + i] / 255 - 0.5) / 0.15;
-    for (let i = 3; i < writer.channels; i++) {
-      writer.appearance[base + i] = (bytes[h + i - 3] - 128) / 128;
-    }
-  }
-  return writer.splats(flags & 1 ? "mip" : "classic", FROM_SPZ_AXES);
-}
-
-function spzCoordinate(view, bytes, first, axis, version, bits) {
-  if (version <= 1) return view.getFloat16(first + 2 * axis, true);
-  const offset = first + 3 * axis;
-  const whole = bytes[offset] | (bytes[offset + 1] << 8) | (bytes[offset + 2] << 16);
-  return ((whole << 8) >> 8) / 2 ** bits;
-}
-
-/** The two highest bits name the largest part; the others have ten bits each, the last the lowest. */
-function wordRotation(word) {
-  const parts = [20, 10, 0].map((shift) => {
-    const field = (word >>> shift) & 0x3ff;
-    const size = ((field & 0x1ff) / 511) * Math.SQRT1_2;
-    return field & 0x200 ? -size : size;
-  });
-  const [x, y, z, w] = withLargest(word >>> 30, parts);
-  return [w, x, y, z];
-}
-
-/** Return a unit quaternion from three of its parts, and the index of the fourth. */
-export function withLargest(index, parts) {
-  const square = parts.reduce((sum, part) => sum + part * part, 0);
-  return parts.toSpliced(index, 0, Math.sqrt(Math.max(1 - square, 0)));
+  /** @type {any} */
+  let splats = null;
+  const sink = {
+    begin(facts) {
+      splats ??= { ...facts, rows: new Float32Array(10 * facts.count), appearance: new Float32Array(facts.channels * facts.count) };
+      return 0;
+    },
+    write(_, first, rows, appearance) {
+      const { channels } = splats;
+      const stride = 4 * Math.ceil(channels / 4);
+      if (rows) splats.rows.set(rows, 10 * first);
+      for (let row = 0; row < appearance.length / stride; row++) {
+        splats.appearance.set(appearance.subarray(row * stride, row * stride + channels), channels * (first + row));
+      }
+    },
+    end: (_, count) => (splats.count = count),
+  };
+  await readRequest({ name, bytes: data }, sink);
+  return splats;
 }

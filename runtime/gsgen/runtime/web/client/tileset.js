@@ -7,18 +7,20 @@
 import { eyeOf } from "./camera.js";
 import { download, parsedJson } from "./download.js";
 import { failing } from "./errors.js";
+import { readInBackground } from "./file_reader.js";
 import { firstSubtree, subtreeRoot } from "./implicit_tiles.js";
 import {
   IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
 } from "./matrices.js";
-import { SplatBuffers, degreeOf } from "./splat_buffers.js";
-import { readTileContent } from "./tile_content.js";
+import { SplatBuffers, degreeOf, paddedRows } from "./splat_buffers.js";
 
 const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
 const MOST_REQUESTS = 6; // at once
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const MOST_DEGREE = 3;
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
+// Readers turn glTF content as files (x, y, z) → (−x, −y, z); of a tile, its (x, −z, y) is meant.
+const TILE_FROM_FILE = [-1, 0, 0, 0, 0, 0, -1, 0, 0, -1, 0, 0, 0, 0, 0, 1];
 
 /** A tile, in the frame of the tileset. */
 class Tile {
@@ -77,6 +79,28 @@ function rootOf({ root, schema }, parent, address) {
   return new Tile({ ...root, schema }, parent, address);
 }
 
+/** Return the sets of splats in the content of a tile, or the bytes of another tileset. */
+async function readParts(address, signal) {
+  /** @type {any[]} */
+  const parts = [];
+  const sink = {
+    begin(facts) {
+      const [rows, stride] = [new Float32Array(10 * facts.count), 4 * Math.ceil(facts.channels / 4)];
+      const transform = composed(TILE_FROM_FILE, facts.transform);
+      return parts.push({ ...facts, transform, stride, rows, appearance: new Float32Array(stride * facts.count) }) - 1;
+    },
+    write(part, first, rows, appearance) {
+      const { stride, ...own } = parts[part];
+      if (rows) own.rows.set(rows, 10 * first);
+      own.appearance.set(appearance, stride * first);
+    },
+    end: (part, count) => (parts[part].count = count),
+  };
+  const { kind, bytes } = await readInBackground({ name: address, address }, sink, undefined, signal);
+  if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
+  return { bytes, parts };
+}
+
 /** A tileset in a page. */
 export class TilesetModel {
   /**
@@ -87,13 +111,11 @@ export class TilesetModel {
   constructor({ device, plans }, tileset, name, options) {
     const { slotRows, maxError } = plans.streaming;
     const channels = 3 * (1 + (tileset.metadata?.properties?.sh_degree ?? MOST_DEGREE)) ** 2;
-    const [rows, appearance] = [10, channels].map((width) => new Float32Array(width * slotRows));
-    const space = /** @type {const} */ ("sh");
-    const empty = { rows, appearance, channels, space, count: 0, transform: IDENTITY };
+    const facts = { count: slotRows, channels, space: /** @type {const} */ ("sh") };
     const length = Math.floor((options.maxSplats ?? MOST_SPLATS) / slotRows);
     /** @type {any[]} All slots; those that the last camera does not need have no live row. */
     this.sets = Array.from({ length }, () => {
-      return { buffers: new SplatBuffers(device, plans, empty), transform: IDENTITY, live: 0 };
+      return { buffers: new SplatBuffers(device, plans, facts), transform: IDENTITY, live: 0 };
     });
     this._free = [...this.sets];
     this._slotRows = slotRows;
@@ -157,11 +179,13 @@ export class TilesetModel {
     try {
       const contents = tile.uris.map(async (uri) => {
         const address = String(new URL(uri, tile.base));
-        const data = await download(address, undefined, signal);
         const { subtree, schema, base } = tile;
-        if (subtree) return new Tile(subtreeRoot(data, subtree, schema, address), tile, base);
-        const tileset = parsedJson(data);
-        return tileset ? rootOf(tileset, tile, address) : readTileContent(data, address);
+        if (subtree) {
+          const data = await download(address, undefined, signal);
+          return new Tile(subtreeRoot(data, subtree, schema, address), tile, base);
+        }
+        const { bytes, parts } = await readParts(address, signal);
+        return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
       });
       const loaded = (await Promise.all(contents)).flat();
       if (signal.aborted) return;
@@ -188,11 +212,11 @@ export class TilesetModel {
     if (this._room() < parts.length) return;
     while (this._free.length < parts.length) this._evict();
     tile.slots = parts.map(([set, first]) => {
-      const { channels, antialias } = set;
+      const { channels, stride, antialias } = set;
       const slot = this._free.pop();
       const live = Math.min(rows, set.count - first);
       const part = (numbers, width) => numbers.subarray(first * width, (first + live) * width);
-      slot.buffers.write(part(set.rows, 10), part(set.appearance, channels), channels);
+      slot.buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, stride), stride, slot.buffers.stride));
       const transform = composed(tile.frame, set.transform);
       return Object.assign(slot, { transform, live, antialias, degree: degreeOf(channels, "sh") });
     });

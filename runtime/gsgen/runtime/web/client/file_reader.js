@@ -1,0 +1,102 @@
+/** Reads files in a worker; where a page can have none, on its own thread in slices. */
+
+import { GsgenError } from "./errors.js";
+
+const IDLE_MILLISECONDS = 5000; // after which the worker's memory is given back
+
+/**
+ * @typedef {object} Reading
+ * @property {import("./row_writer.js").Sink} sink
+ * @property {(loaded: number, total: number) => void} progress
+ * @property {(result: any) => void} resolve
+ * @property {(error: any) => void} reject
+ */
+
+/** @type {Map<number, Reading>} */
+const readings = new Map();
+/** @type {Promise<Worker | null> | null} */
+let opening = null;
+let idleTimer = 0;
+/** @type {any} */
+let policy = null;
+let lastReading = 0;
+
+/** Return an address as a page with trusted types wants it; it allows the policy `gsgen`, or no worker. */
+function scriptOf(address) {
+  const { trustedTypes: types } = /** @type {any} */ (window);
+  policy ??= types?.createPolicy("gsgen", { createScriptURL: String });
+  return policy ? policy.createScriptURL(address) : address;
+}
+
+/** Start the worker; null where its module cannot be loaded. @returns {Promise<Worker | null>} */
+function openWorker() {
+  return new Promise((resolve) => {
+    let worker;
+    try {
+      worker = new Worker(scriptOf(new URL("./reader_worker.js", import.meta.url)), { type: "module" });
+    } catch {
+      resolve(null); // a page from disk, or a client of another origin
+      return;
+    }
+    worker.onerror = () => resolve(null); // a policy of the page forbids it
+    worker.onmessage = ({ data: { id, call, args } }) => {
+      if (call === "ready") resolve(worker);
+      else if (call === "resolve") finish(id, readings.get(id)?.resolve, args[0]);
+      else if (call === "reject") finish(id, readings.get(id)?.reject, errorOf(args[0]));
+      else if (call === "progress") readings.get(id)?.progress(args[0], args[1]);
+      else readings.get(id)?.sink[call](...args);
+    };
+  });
+}
+
+/** Tell the end of a reading, and close the worker if no other begins. */
+function finish(id, settle, value) {
+  readings.delete(id);
+  if (!readings.size) idleTimer = window.setTimeout(closeWorker, IDLE_MILLISECONDS);
+  settle?.(value);
+}
+
+/** Return the error that a worker described. */
+function errorOf({ isOurs, message, stack, ...details }) {
+  return isOurs ? Object.assign(new GsgenError("", details), { message }) : Object.assign(new Error(message), { stack });
+}
+
+async function closeWorker() {
+  const worker = await opening;
+  if (readings.size || !worker) return;
+  opening = null;
+  worker.terminate();
+}
+
+/**
+ * Read a file; see `readRequest` of splat_files.js. The calls of the sink come in their order.
+ * @param {import("./splat_files.js").Request} request
+ * @param {import("./row_writer.js").Sink} sink
+ * @param {(loaded: number, total: number) => void} [progress]
+ * @param {AbortSignal} [signal]
+ */
+export async function readInBackground(request, sink, progress = () => {}, signal) {
+  const worker = await (opening ??= openWorker());
+  signal?.throwIfAborted();
+  if (!worker) return (await import("./splat_files.js")).readRequest(request, inSlices(sink), progress, signal);
+  clearTimeout(idleTimer);
+  const id = ++lastReading;
+  return new Promise((resolve, reject) => {
+    readings.set(id, { sink, progress, resolve, reject });
+    worker.postMessage({ id, request });
+    signal?.addEventListener("abort", () => {
+      if (!readings.has(id)) return;
+      worker.postMessage({ id, isAborted: true });
+      finish(id, reject, signal.reason);
+    });
+  });
+}
+
+/** Return a sink after whose calls the page can draw and listen. */
+function inSlices(sink) {
+  const write = async (...words) => {
+    await sink.write(...words);
+    await new Promise((resolve) => setTimeout(resolve));
+  };
+  return { begin: (facts) => sink.begin(facts), write, end: (...words) => sink.end(...words) };
+}
