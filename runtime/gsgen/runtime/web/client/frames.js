@@ -18,6 +18,7 @@ import { readSplats } from "./splat_files.js";
  * @typedef {object} Frame
  * @property {Float32Array} rows Ten numbers of each of `capacity` rows.
  * @property {Float32Array} appearance SH by coefficient, or RGB: `channels` numbers of each row.
+ *     The same array as before has the same numbers.
  * @property {number} live Number of rows that are drawn, which are the first.
  */
 /**
@@ -82,7 +83,7 @@ function stillFrames({ rows, appearance, channels, space, count, antialias, colo
 /** @returns {Promise<Frames>} */
 async function generatorFrames(bytes, name, provider) {
   const { inspectedGenerator } = await import("./findings.js");
-  const { manifest, findings } = inspectedGenerator(bytes, name);
+  const { subject, manifest, findings } = inspectedGenerator(bytes, name);
   const { gaussians, appearance, count } = manifest.outputs;
   if (manifest.blend === "wsr") {
     failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a weighted sum, expected sorted Gaussians");
@@ -95,17 +96,21 @@ async function generatorFrames(bytes, name, provider) {
     try {
       return frameOf(await runInTurn(() => {
         inputs.update(values, camera);
-        return session.run(inputs.feeds, names);
+        return session.run(inputs.feeds, constant ? names.filter((output) => output !== appearance.name) : names);
       }));
     } catch (error) {
       if (error instanceof GsgenError) throw error;
       throw new GsgenError(`the model fails: ${error.message}`, { where: name, hint: "See what is wrong: gsgen validate MODEL" });
     }
   };
+  /** @type {Float32Array | null} Colours that depend on no input: they are computed once. */
+  let constant = null;
   const frameOf = (outputs) => {
-    const [rows, colors, live] = names.map((output) => outputs[output].data);
+    const [rows, colors, live] = names.map((output) => outputs[output]?.data);
+    const shown = constant ?? float32Of(colors);
+    if (!subject.graph.varies(appearance.name)) constant = shown;
     const drawn = live ? Math.min(Math.max(Number(live[0]), 0), gaussians.capacity) : gaussians.capacity;
-    return { rows: float32Of(rows), appearance: float32Of(colors), live: drawn };
+    return { rows: float32Of(rows), appearance: shown, live: drawn };
   };
   const { outputMetadata } = session;
   const [, channels] = outputMetadata.find((output) => output.name === appearance.name).shape;

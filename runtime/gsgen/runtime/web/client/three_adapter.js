@@ -71,6 +71,9 @@ export class ThreeGaussians {
     this.object.applyMatrix4(new three.Matrix4().fromArray(transposed4([...transform])));
     this.object.boundingSphere = new three.Sphere();
     this._filled = 0;
+    /** @type {Float32Array | null} The appearance that is stored, of how many rows. */
+    this._appearance = null;
+    this._colored = 0;
   }
 
   /**
@@ -91,12 +94,14 @@ export class ThreeGaussians {
     const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
     const { _channels: channels, _isSh: isSh } = this;
     const [scale, offset] = isSh ? [255 * C0, 127.5] : [255, 0];
-    let widest = 0;
+    let [widest, allFinite] = [0, true];
+    const isColored = appearance === this._appearance && live <= this._colored;
     for (let row = 0; row < live; row++) {
       const [from, to, color] = [10 * row, 4 * row, channels * row];
       let isFinite = true;
       for (let number = 0; number < 10; number++) isFinite &&= Math.abs(rows[from + number]) < Infinity;
       if (!isFinite) {
+        allFinite = false;
         centers.fill(0, to, to + 3);
         positions.fill(0, 3 * row, 3 * row + 3);
         colors[to + 3] = 0;
@@ -107,7 +112,7 @@ export class ThreeGaussians {
         centers[to + axis] = positions[3 * row + axis] = center;
         if (center < low[axis]) low[axis] = center;
         if (center > high[axis]) high[axis] = center;
-        colors[to + axis] = scale * appearance[color + axis] + offset;
+        if (!isColored) colors[to + axis] = scale * appearance[color + axis] + offset;
       }
       colors[to + 3] = 255 * rows[from + 3];
       const root = widened[0] * rows[from] + widened[1] * rows[from + 1] + widened[2] * rows[from + 2] + widened[3];
@@ -122,7 +127,11 @@ export class ThreeGaussians {
     }
     for (let row = live; row < this._filled; row++) colors[4 * row + 3] = 0;
     this._filled = live;
-    for (let band = 1; band <= this._degree; band++) attributes.push(this._fillBand(band, appearance, live));
+    if (!isColored) {
+      for (let band = 1; band <= this._degree; band++) attributes.push(this._fillBand(band, appearance, live));
+      [this._appearance, this._colored] = [appearance, allFinite ? live : 0];
+    }
+    this.object._sphericalHarmonicsInitialized = false; // of three.js, which depend on the centres, too
     for (const attribute of attributes) {
       attribute.needsUpdate = true;
       if (attribute.pbo) attribute.pbo.needsUpdate = true;
@@ -152,7 +161,6 @@ export class ThreeGaussians {
       const [from, to] = [this._channels * row + 3 * band * band, BAND_BYTES[band] * row];
       for (let index = 0; index < BAND_NUMBERS[band]; index++) bytes[to + index] = 128 * appearance[from + index] + 128;
     }
-    this.object._sphericalHarmonicsInitialized = false;
     return attribute;
   }
 
