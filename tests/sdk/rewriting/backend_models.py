@@ -1,14 +1,20 @@
 """The models of ONNX's backend test: every operator, with inputs and expected outputs.
 
 Models of nodes are made by the installed ``onnx`` package, others are files in it.
+To print the counts of outcomes, and write the verdicts: PYTHONPATH=tests python -m sdk.rewriting.backend_models
 """
 
 import contextlib
 import io
+import os
+import time
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import onnx
@@ -25,6 +31,11 @@ from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.float16.to_float16 import ToFloat16
 from gsgen.sdk.rewriting.model_io import load_model, save_model
 from gsgen.sdk.rewriting.rewrite import normalize_model, rewrite_file
+from support.forks import forked_children, results_of_forks
+
+VERDICTS = Path(__file__).parents[2] / "corpora" / "verdicts" / "onnx-backend.txt"
+MAX_SECONDS = 600.0
+FAULTS = ("traceback", "broken", "changed", "crash")
 
 
 @dataclass(frozen=True)
@@ -132,6 +143,7 @@ def _compared(source: Path, target: Path, inputs: tuple[object, ...]) -> str:
 def _session(path: Path) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
+    options.intra_op_num_threads = 1  # a process with threads does not fork well
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
@@ -146,3 +158,70 @@ def _equal(old: object, new: object) -> bool:
     if old.dtype.kind not in "fc":
         return bool((old == new).all())
     return bool(np.allclose(old, new, rtol=1e-4, atol=1e-5, equal_nan=True))
+
+
+def outcomes_of(models: Sequence[BackendModel]) -> dict[str, dict[str, str]]:
+    """Return model → step → outcome; a model at which a process ended has the one step ``run``."""
+    result: dict[str, dict[str, str]] = {}
+    for model, outcome in zip(models, results_of_forks(_outcome, models, MAX_SECONDS), strict=True):
+        is_ended = isinstance(outcome, str)
+        result[model.name] = {"run": f"crash: {outcome}"} if is_ended else outcome
+    return result
+
+
+def _outcome(model: BackendModel) -> dict[str, str]:
+    with TemporaryDirectory() as folder, forked_children():
+        return verdict(model, Path(folder))
+
+
+def outcomes_of_all(models: Sequence[BackendModel]) -> dict[str, dict[str, str]]:
+    """Return the outcomes of many models, computed on all processors."""
+    count = os.cpu_count() or 1
+    shares = [models[first :: 4 * count] for first in range(4 * count)]
+    with ProcessPoolExecutor(count) as pool:
+        results = {
+            name: entry for part in pool.map(outcomes_of, shares) for name, entry in part.items()
+        }
+    return {model.name: results[model.name] for model in models}
+
+
+def compact(outcomes: dict[str, str]) -> str:
+    """Return the outcomes of a model in a line, without the reasons of refusals."""
+    return ", ".join(f"{step}: {outcome.split(':')[0]}" for step, outcome in outcomes.items())
+
+
+def versions() -> str:
+    """Return the versions that decide which models there are, and which of them load."""
+    return f"# onnx {onnx.__version__}, ONNX Runtime {onnxruntime.__version__}"
+
+
+def main() -> None:
+    """Judge all models, print how many have which outcome of each step, and write the verdicts."""
+    start_times = time.monotonic(), os.times()
+    outcomes = outcomes_of_all(list(backend_models()))
+    counts = Counter(
+        f"{step}: {outcome.split(':')[0]}"
+        for entry in outcomes.values()
+        for step, outcome in entry.items()
+    )
+    lines = [f"{name}\t{compact(entry)}\n" for name, entry in sorted(outcomes.items())]
+    VERDICTS.write_text(versions() + "\n" + "".join(lines))
+    for outcome, number in sorted(counts.items()):
+        print(f"{number:6} {outcome}")
+    for name, entry in outcomes.items():
+        print(
+            *(
+                f"{name}: {step}: {text}\n"
+                for step, text in entry.items()
+                if text.startswith(FAULTS)
+            ),
+            end="",
+        )
+    processor_minutes = (sum(os.times()[:4]) - sum(start_times[1][:4])) / 60
+    print(
+        f"{len(outcomes)} models, {processor_minutes:.1f} minutes of a processor, {(time.monotonic() - start_times[0]) / 60:.1f} minutes"
+    )
+
+
+if __name__ == "__main__":
+    main()
