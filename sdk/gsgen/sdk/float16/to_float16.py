@@ -119,6 +119,25 @@ def can_compute_in_float16(node: ir.Node, opset: int) -> bool:
     return bool(inputs or outputs)
 
 
+def _adds_float32_constants(schema: onnx.defs.OpSchema) -> bool:
+    """Return whether an operator is defined by nodes that add float32 constants to its inputs.
+
+    A runtime without a kernel for it takes these nodes, whose types differ in float16.
+    """
+    if not schema.has_function:
+        return False
+    nodes = schema.function_body.node
+    constants = {
+        name
+        for node in nodes
+        if node.op_type == "Constant"
+        for attribute in node.attribute
+        if attribute.name == "value_float" or attribute.t.data_type == onnx.TensorProto.FLOAT
+        for name in node.output
+    }
+    return any(node.op_type == "Add" and constants & set(node.input) for node in nodes)
+
+
 def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]]:
     """Return the indices of the float32 inputs and outputs of a node that can become float16.
 
@@ -127,6 +146,8 @@ def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]
     """
     schema = _schema(node, opset)
     if schema is None or is_op(node, *_SHAPE_OPERATORS) or _has_containers(node):
+        return [], []
+    if _adds_float32_constants(schema):
         return [], []
     typed_inputs = _floats(node.inputs, schema.inputs)
     typed_outputs = _floats(node.outputs, schema.outputs)
