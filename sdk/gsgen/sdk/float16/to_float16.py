@@ -124,7 +124,7 @@ def _adds_float32_constants(schema: onnx.defs.OpSchema) -> bool:
 
     A runtime without a kernel for it takes these nodes, whose types differ in float16.
     """
-    if not schema.has_function:
+    if not schema.has_function:  # type: ignore[attr-defined]  # missing in the types of onnx
         return False
     nodes = schema.function_body.node
     constants = {
