@@ -39,6 +39,9 @@ GATES: dict[tuple[str, str], str] = {
     ("contract/gsgen/contract/probing/sandbox_worker.py", "onnxruntime.InferenceSession"): (
         "the parent called require_loadable, in `execute`"
     ),
+    ("sdk/gsgen/sdk/binding/bound/warm_up.py", "onnx.load"): (
+        "open_model told before that the model names no other file"
+    ),
     ("sdk/gsgen/sdk/float16/instrumented_model.py", "onnxruntime.InferenceSession"): _OWN_FILES,
     ("contract/gsgen/contract/model/installed_runtime.py", "onnxruntime.InferenceSession"): (
         "opens a model of one node that it builds, from memory"

@@ -15,6 +15,7 @@ from gsgen.conformance.fixtures.valid.scene_inputs import (
     conditioned_and_moving_model,
     picture_model,
 )
+from gsgen.contract.model.files_beside import FileRefused
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import GeneratorManifest, Input
 from gsgen.contract.spec.manifest_io import loads
@@ -94,6 +95,24 @@ def test_weights_in_other_files_leave_the_model_whole(tmp_path: Path):
     assert split_model(onnx.load(path, load_external_data=False), manifest) is None
     with FrameSession(path, provider="cpu") as session:
         assert not isinstance(session._bound, ScenePassSession)
+
+
+def test_a_constant_in_another_file_is_refused_by_the_gate(tmp_path: Path):
+    """A pass is opened from memory, past the check of the files that a model names."""
+    (tmp_path / "weights.bin").write_bytes(bytes(12))
+    (tmp_path / "models").mkdir()
+    path = write_model(tmp_path / "models", conditioned_and_moving_model())
+    model = onnx.load(path)
+    node = onnx.NodeProto(op_type="Constant", output=["stored"])
+    attribute = node.attribute.add(name="value", type=onnx.AttributeProto.TENSOR)
+    attribute.t.CopyFrom(
+        onnx.TensorProto(data_type=onnx.TensorProto.FLOAT, dims=[3], data_location="EXTERNAL")
+    )
+    attribute.t.external_data.add(key="location", value="../weights.bin")
+    model.graph.node.insert(0, node)
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(FileRefused, match=r"weights\.bin"):
+        FrameSession(path, provider="cpu")
 
 
 @st.composite

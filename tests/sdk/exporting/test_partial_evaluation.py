@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gsgen.sdk.exporting.pipeline import FoldedConstants
+from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
 from gsgen.sdk.exporting.tracing.partial_evaluation import ValueNeeded, fold_constants
 
 TIMES = (torch.tensor([0.3]), torch.tensor([0.8]))

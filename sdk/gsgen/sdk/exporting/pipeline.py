@@ -6,7 +6,6 @@ __all__ = [
     "Dtype",
     "ExportOptions",
     "Exported",
-    "FoldedConstants",
     "Progress",
     "Stage",
     "StageClock",
@@ -27,6 +26,7 @@ from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
+from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
@@ -94,14 +94,6 @@ def _cpu_seconds() -> float:
     """Return the processor time of this process and of the children that have ended."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
-
-
-@dataclass(frozen=True, slots=True)
-class FoldedConstants:
-    """The operations that an export computed before the trace, as no input reaches them."""
-
-    operations: int
-    nbytes: int  # the size of the results that the file holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

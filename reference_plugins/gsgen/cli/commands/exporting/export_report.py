@@ -16,7 +16,8 @@ from gsgen.contract.reporters.json_report import to_dict
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
-    from gsgen.sdk.exporting.pipeline import FoldedConstants, Stage
+    from gsgen.sdk.exporting.pipeline import Stage
+    from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
     from gsgen.sdk.parity import Parity
     from gsgen.sdk.rewriting.rewrite import Change
 

@@ -140,10 +140,10 @@ def frame_uniform(
         margin = JACOBIAN_MARGIN * (high - low) / 2
         uniform["slope_low"] = np.minimum(low - margin, 0)  # the axis is always within
         uniform["slope_high"] = np.maximum(high + margin, 0)
+        uniform["ray_limit"] = camera.ray_limit
     if camera.distortion is not None:
         for name, values in camera.distortion.to_dict().items():
             uniform[name] = values
-    uniform["ray_limit"] = camera.ray_limit
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
     uniform["origin"][1] -= first_row

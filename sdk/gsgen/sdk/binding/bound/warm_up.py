@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import onnx
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW
 from gsgen.sdk.binding.bound.bound_session import BoundSession, tensor_specs, translate_error
@@ -186,6 +187,9 @@ def _passes_of(sources: ModelFacts, session_options: SessionOptions) -> SplitMod
     if session_options.choice.provider != "cpu" or not isinstance(manifest, GeneratorManifest):
         return None
     if len({entry.is_of_scene for entry in manifest.inputs}) < 2:
+        return None
+    # A pass is opened from memory, where the names of other files would mean files anywhere.
+    if open_model(sources.path).external:
         return None
     return split_model(onnx.load(sources.path, load_external_data=False), manifest)
 

@@ -21,8 +21,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
 from gsgen.contract.spec.units import format_bytes
-from gsgen.sdk.exporting.pipeline import FoldedConstants
 from gsgen.sdk.exporting.tracing.fixed_sizes import OneHotWithoutValues
+from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
 from gsgen.sdk.exporting.tracing.repeatability import find_unrepeatable
 from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
