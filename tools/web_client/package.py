@@ -27,6 +27,7 @@ def write_package(folder: Path) -> None:
     """
     shutil.copytree(CLIENT, folder, ignore=shutil.ignore_patterns("ort"), dirs_exist_ok=True)
     shutil.copy(_ROOT / "LICENSE", folder)
+    shutil.copy(_NPM / "fzstd-0.1.1/lib/index.d.ts", folder / "fzstd.d.ts")
     types = folder / "types"
     compiler = _NPM / "typescript-5.9.3/lib/tsc.js"
     gpu_types = _NPM / "types-0.1.74/dist/index.d.ts"
