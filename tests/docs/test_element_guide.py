@@ -6,7 +6,7 @@ from gsgen.runtime.web.pages import client_file
 from support.commands import ROOT
 
 _GUIDE = (ROOT / "docs/guides/models-in-a-page.md").read_text("utf-8")
-_ELEMENT = client_file("element.js").decode()
+_ELEMENT = "".join(client_file(name).decode() for name in ("element.js", "model_controls.js"))
 
 
 def first_cells(heading: str) -> set[str]:

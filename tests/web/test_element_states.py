@@ -454,7 +454,7 @@ def test_what_is_under_a_pixel_is_found(page: Any) -> None:
           const { camera } = element;
           const box = element.getBoundingBox();
           const found = [];
-          for (let x = 8; x < 128; x += 8) for (let y = 8; y < 96; y += 8) {
+          for (let x = 4; x < 128; x += 4) for (let y = 4; y < 96; y += 4) {
             const hit = await element.pick(x, y);
             if (hit) found.push([x, y, hit.point, hit.normal, hit.model === element]);
           }
