@@ -93,7 +93,9 @@ def test_the_element_shows_its_model_under_a_policy(
     policy_errors = [error for error in policies.errors if "style" in error or "rusted" in error]
     if "trusted-types 'none'" in headers.get("Content-Security-Policy", ""):
         # Files are then read without a worker. There is no way to ask before.
-        policy_errors = [error for error in policy_errors if "TrustedTypePolicy named 'gsgen'" not in error]
+        policy_errors = [
+            error for error in policy_errors if "TrustedTypePolicy named 'gsgen'" not in error
+        ]
     assert policy_errors == []
 
 
