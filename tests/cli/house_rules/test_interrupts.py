@@ -210,7 +210,7 @@ def test_other_signals_are_not_handled() -> None:
 
 
 def test_crash_exits_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by zero")
 
     monkeypatch.setattr("gsgen.cli.commands.drawing.options.read_tracks", broken)

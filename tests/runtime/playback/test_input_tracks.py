@@ -28,6 +28,7 @@ class AnimatedInputs:
             "pose": Input(name="pose", role="pose"),
         }
         self.inputs = tuple(declared[name] for name in shapes)
+        self.animation = None
 
     def named(self, word: str) -> list[Input]:
         return named(self.inputs, word)

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsgen.contract.file_kinds.names import META_FILE
-from gsgen.contract.inputs.addresses import is_plain_location
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES, MAX_INFLATION
 from gsgen.formats.shared.errors import (
     FileTruncated,
@@ -156,6 +155,8 @@ def _fetch_from_archive(archive: zipfile.ZipFile, size: int) -> FetchFile:
 
 
 def _fetch_from_folder(path: FilePath) -> FetchFile:
+    from gsgen.contract.inputs.addresses import is_plain_location
+
     own_name = Path(path).name
 
     def fetch(name: str, limit: int) -> bytes:

@@ -76,9 +76,11 @@ def refuse_inputs(output: Path, paths: Sequence[Path]) -> None:
 
 
 def _camera_files(camera: str | None) -> list[Path]:
+    if camera is None:
+        return []
     from gsgen.runtime.camera_files import split_pick
 
-    return [] if camera is None else [split_pick(camera)[0]]
+    return [split_pick(camera)[0]]
 
 
 def _motion_files(path: Path) -> Iterator[Path]:

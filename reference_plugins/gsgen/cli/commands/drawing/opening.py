@@ -153,12 +153,13 @@ def training_camera(scenes: Sequence[Path]) -> str | None:
     The value is one of ``--camera``; a note names the camera. None without such a folder.
     """
     from gsgen.formats.inputs import training_folder
-    from gsgen.runtime.camera_files import open_cameras
 
     for scene in scenes:
         run = training_folder(scene)
         if run is None or run.cameras is None:
             continue
+        from gsgen.runtime.camera_files import open_cameras
+
         try:
             cameras = open_cameras(run.cameras).cameras
         except ConfigInvalid as error:

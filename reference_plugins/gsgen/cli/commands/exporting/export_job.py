@@ -6,13 +6,13 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 from gsgen.cli.output import echo, echo_error
 from gsgen.cli.progress import clear, progress
-from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.errors import ConfigInvalid, FileNote, GsgenError
 
 if TYPE_CHECKING:
     from gsgen.cli.commands.exporting.export_options import ExportRequest
@@ -71,13 +71,27 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 def _collected_warnings() -> Iterator[list[str]]:
     """Keep the warnings of the module's code off the screen; give them as one line at the end."""
     notes: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
+    texts: dict[str, None] = {}
+    show = warnings.showwarning
+
+    def collect(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, FileNote):
+            show(message, category, filename, lineno, file, line)
+        else:
+            texts[f"{category.__name__}: {' '.join(str(message).split())[:120]}"] = None
+
+    with warnings.catch_warnings():
         warnings.simplefilter("default")
+        warnings.simplefilter("always", FileNote)
+        warnings.showwarning = collect
         yield notes
-    texts = dict.fromkeys(
-        f"{entry.category.__name__}: {' '.join(str(entry.message).split())[:120]}"
-        for entry in caught
-    )
     if texts:
         more = f", and {len(texts) - 1} more" if len(texts) > 1 else ""
         notes.append(f"the module's code warns: {next(iter(texts))}{more}")
