@@ -380,7 +380,7 @@ def _shown_unencoded(manifest: GeneratorManifest) -> GeneratorManifest:
 _ROLES = (
     *("view", "projection", "camera_position", "viewport", "time", "frame_index"),
     *("pose", "root_rotation", "root_translation", "shape", "expression"),
-    *("appearance_id", "control"),
+    *("appearance_id", "control", "image", "image_view", "image_intrinsics"),
 )
 
 WRONG_VIEWERS: dict[str, Viewer] = {

@@ -30,4 +30,5 @@ def traced(generator: GaussianGenerator, name: str, rows: int, degree: int | Non
     manifest = manifest_of(generator.eval(), name, "float32", degree, rows, bounds)
     probes = probes_of(manifest, count=BOUNDS_PROBES)
     module = PackedGenerator(generator, Packed(torch.float32, rows))
-    return Traced(trace_generator(module, probes[1], manifest, 18), module, manifest, probes)
+    graph = trace_generator(module, probes[1], manifest, 18).model
+    return Traced(graph, module, manifest, probes)

@@ -73,7 +73,7 @@ VIEWER_FAULTS: Final[Mapping[str, tuple[str, str]]] = {
         "Run the model when an input changes; a replayed capture must read the new inputs.",
     ),
     "matrix-order": (
-        "view and projection are fed transposed",
+        "view, projection and image_view are fed transposed",
         "matrix_order column: the tensor holds the transpose; row: the matrix itself.",
     ),
     "matrix-order-ignored": (

@@ -244,7 +244,10 @@ INPUT_CASES: tuple[ViewerKitCase, ...] = (
     ViewerKitCase(
         name="pictures",
         tests="Two pictures, their cameras and lenses, which other pictures replace.",
-        faults=(*_MOVING_MODEL_FAULTS, *("role-image", "role-image_view", "role-image_intrinsics")),
+        faults=(
+            *(*_MOVING_MODEL_FAULTS, "matrix-order"),
+            *("role-image", "role-image_view", "role-image_intrinsics"),
+        ),
         spec=scene_inputs.posed_picture_model,
         frames=(
             orbit_frame(image=_pictures(9), poses=_picture_views(10), lenses=_lenses(9.0)),

@@ -194,7 +194,8 @@ class HazardWatch(TorchFunctionMode):
     ) -> None:
         if name in _RANDOM_FUNCTIONS:
             self._record_hazard("random")
-        if _is_training(func, args, kwargs):
+        # Signatures mean nothing to Dynamo, which follows this function in compiled modules.
+        if not torch.compiler.is_dynamo_compiling() and _is_training(func, args, kwargs):
             self._record_hazard("training")
         if self._is_in_place_operator(name) and args and id(args[0]) in self._module_tensors:
             self._record_hazard("state")
