@@ -197,7 +197,7 @@ class HazardWatch(TorchFunctionMode):
         # Signatures mean nothing to Dynamo, which follows this function in compiled modules.
         if not torch.compiler.is_dynamo_compiling() and _is_training(func, args, kwargs):
             self._record_hazard("training")
-        if self._is_in_place_operator(name) and args and id(args[0]) in self._module_tensors:
+        if _is_in_place_operator(name) and args and id(args[0]) in self._module_tensors:
             self._record_hazard("state")
             self._save_tensor(args[0])
         if not depends_on_input:
@@ -208,12 +208,6 @@ class HazardWatch(TorchFunctionMode):
             self._record_hazard("data")
         elif (name == "__getitem__" and _is_mask(args[1])) or (name == "where" and len(args) == 1):
             self._record_hazard("shape")
-
-    @staticmethod
-    def _is_in_place_operator(name: str) -> bool:
-        ends_in_underscore = name.endswith("_") and not name.endswith("__")
-        is_operator = name.startswith("__i") and name not in ("__index__", "__int__", "__invert__")
-        return ends_in_underscore or is_operator or name == "__setitem__"
 
     def _record_hazard(self, kind: HazardKind, prefix: str = "") -> None:
         line = current_user_line()
@@ -254,6 +248,12 @@ class HazardWatch(TorchFunctionMode):
             original_setattr(module, name, value)
 
         return record_and_set
+
+
+def _is_in_place_operator(name: str) -> bool:
+    ends_in_underscore = name.endswith("_") and not name.endswith("__")
+    is_operator = name.startswith("__i") and name not in ("__index__", "__int__", "__invert__")
+    return ends_in_underscore or is_operator or name == "__setitem__"
 
 
 def _is_training(func: Any, args: Any, kwargs: Any) -> bool:
