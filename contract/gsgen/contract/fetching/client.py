@@ -1,6 +1,6 @@
 """A client of web servers, with a deadline and a byte budget for each file."""
 
-__all__ = ["LARGE_FILE_SECONDS", "WebClient", "fetch"]
+__all__ = ["WebClient", "fetch"]
 
 import io
 import random
@@ -20,13 +20,11 @@ from gsgen.contract.fetching.deadline import (
     Deadline,
     NotPublicHostError,
     fetch_seconds,
+    large_file_deadline,
 )
 from gsgen.contract.fetching.errors import AddressNotAllowed, ServerUnavailable
 from gsgen.contract.fetching.response_body import body_chunks
 from gsgen.contract.fetching.responses import FilePart, check_status
-
-LARGE_FILE_SECONDS: Final = 3600.0
-"""Most seconds for a large file, all attempts together, where ``GSGEN_FETCH_SECONDS`` sets none."""
 
 _SECONDS: Final = 60.0  # for one file, all attempts together
 _STALL_SECONDS: Final = 8.0  # for the headers, and for each kilobyte after them
@@ -242,8 +240,9 @@ class WebClient:
             is_large: Whether it is a model or a file of many splats, which may take an hour where
                 the user sets no time.
         """
-        default = LARGE_FILE_SECONDS if is_large else _SECONDS
-        return Deadline(fetch_seconds(default) if self._seconds is None else self._seconds)
+        if self._seconds is not None:
+            return Deadline(self._seconds)
+        return large_file_deadline() if is_large else Deadline(fetch_seconds(_SECONDS))
 
     def _fetch_with_retries(self, attempt: Callable[[], Result], deadline: Deadline) -> Result:
         """Try a request again after transient failures, until the deadline of its file."""

@@ -7,6 +7,7 @@ __all__ = [
     "NotPublicHostError",
     "connect",
     "fetch_seconds",
+    "large_file_deadline",
 ]
 
 import io
@@ -26,6 +27,7 @@ from gsgen.contract.errors import ConfigInvalid
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
+_LARGE_FILE_SECONDS: Final = 3600.0
 FETCH_SECONDS: Final = "GSGEN_FETCH_SECONDS"
 """Environment variable: most seconds for one file of a web server, all attempts together."""
 
@@ -139,6 +141,15 @@ class _SocketReader(io.RawIOBase):
     def readinto(self, buffer: "WriteableBuffer") -> int:
         """Receive bytes into a buffer."""
         return self._source.recv_into(buffer)
+
+
+def large_file_deadline() -> Deadline:
+    """Return the deadline of a model or of many splats: an hour, where the user sets no time.
+
+    Raises:
+        ConfigInvalid: ``GSGEN_FETCH_SECONDS`` is not a number above 0.
+    """
+    return Deadline(fetch_seconds(_LARGE_FILE_SECONDS))
 
 
 @final

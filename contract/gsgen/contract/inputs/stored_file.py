@@ -8,18 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, BinaryIO, Final, final
 
 from gsgen.contract.errors import InputUnreadable
-from gsgen.contract.fetching.client import LARGE_FILE_SECONDS
-from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, fetch_seconds
+from gsgen.contract.fetching.deadline import FETCH_SECONDS, Deadline, large_file_deadline
 from gsgen.contract.fetching.errors import FileMissing, ResponseTooLarge, ServerUnavailable
 from gsgen.contract.inputs.addresses import folder_of
 from gsgen.contract.inputs.remote_file import ByteProgress, RemoteFile
 
 _CHUNK_BYTES: Final = 4 << 20
 _MAX_REASON_LENGTH: Final = 200
-
-
-def _deadline() -> Deadline:
-    return Deadline(fetch_seconds(LARGE_FILE_SECONDS))
 
 
 @final
@@ -33,7 +28,7 @@ class StoredFile(RemoteFile):
     """
 
     address: str
-    deadline: Deadline = field(default_factory=_deadline)
+    deadline: Deadline = field(default_factory=large_file_deadline)
 
     def copy(self, into: BinaryIO, *, max_bytes: int, on_bytes: ByteProgress) -> None:
         """Copy the file into an empty one on disk."""

@@ -11,8 +11,8 @@ from typing import BinaryIO, Final, final
 from urllib.parse import quote, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
-from gsgen.contract.fetching.client import LARGE_FILE_SECONDS, WebClient
-from gsgen.contract.fetching.deadline import Deadline, fetch_seconds
+from gsgen.contract.fetching.client import WebClient
+from gsgen.contract.fetching.deadline import Deadline, large_file_deadline
 from gsgen.contract.fetching.errors import FetchFailed, FileMissing, ServerUnavailable
 from gsgen.contract.inputs.addresses import folder_of
 from gsgen.contract.inputs.remote_file import ByteProgress, RemoteFile
@@ -94,7 +94,9 @@ class WebFile(RemoteFile):
 
 def web_file(address: str) -> WebFile:
     """Return the file at an http or https address."""
-    return WebFile(address=address, url=address, headers={}, is_hub=False, deadline=_deadline())
+    return WebFile(
+        address=address, url=address, headers={}, is_hub=False, deadline=large_file_deadline()
+    )
 
 
 def hub_file(address: str) -> WebFile:
@@ -126,7 +128,11 @@ def hub_file(address: str) -> WebFile:
     repository = f"{endpoint}/{prefix}{match['owner']}/{match['name']}"
     url = f"{repository}/resolve/{revision}/{quote(match['path'])}"
     return WebFile(
-        address=address, url=url, headers=_token_header(), is_hub=True, deadline=_deadline()
+        address=address,
+        url=url,
+        headers=_token_header(),
+        is_hub=True,
+        deadline=large_file_deadline(),
     )
 
 
@@ -140,7 +146,3 @@ def _token_header() -> dict[str, str]:
             where=f"environment variable {_TOKEN_VARIABLE}",
         )
     return {"Authorization": f"Bearer {token}"}
-
-
-def _deadline() -> Deadline:
-    return Deadline(fetch_seconds(LARGE_FILE_SECONDS))
