@@ -9,7 +9,10 @@ from PIL import Image
 
 from gsgen.conformance.fixtures.valid.scene_inputs import picture_model, posed_picture_model
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.runtime.playback.camera_options import Viewpoint
+from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.playback.input_tracks import require_pictures
+from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.playback.picture_inputs import picture_files, picture_tracks
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.source import GeneratorSource, StillFrameSource
@@ -122,6 +125,13 @@ def test_a_model_of_pictures_without_pictures_is_refused(source: GeneratorSource
     ) as error:
         require_pictures([source], [])
     assert "--image 1.png,2.png" in error.value.hint
+
+
+def test_no_playback_draws_a_model_of_pictures_without_them(source: GeneratorSource):
+    """Also of files that are dropped on a window, and of `gsgen bench-render`."""
+    for play in (lambda: LivePlayback([source]), lambda: FrameSequence([source], Viewpoint())):
+        with pytest.raises(ConfigInvalid, match="computed from 2 pictures, which are not given"):
+            play()
 
 
 def write_cameras(path: Path, names: list[str], size: tuple[int, int]) -> list[Camera]:

@@ -5,6 +5,7 @@ __all__ = ["Playback", "frame_rate"]
 from collections.abc import Sequence
 from typing import Literal
 
+from gsgen.runtime.playback.input_tracks import require_pictures
 from gsgen.runtime.playback.player import FrameRequest, Player, compose_scene
 from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.playback.timeline import Timeline
@@ -37,6 +38,9 @@ class Playback:
         sh_degree: Highest degree of spherical harmonics; None for all. :meth:`scene` reads it.
         antialias: Antialiasing of the training; None for each source's own setting. :meth:`scene`
             reads it.
+
+    Raises:
+        ConfigInvalid: A source is computed from pictures that are not given.
     """
 
     def __init__(
@@ -50,6 +54,7 @@ class Playback:
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
+        require_pictures(sources, timeline.tracks)
         self.sources, self.post = list(sources), list(post)
         self._timeline, self.frames = timeline, frames
         self.fps = fps or frame_rate(self.sources)

@@ -41,12 +41,15 @@ class Timeline:
 
     Over several frames, inputs without a track advance by themselves: a time goes through its
     range, and a frame number counts. In a scene with a timeline, key frames precede them.
+
+    Attributes:
+        tracks: Values that the user gave.
     """
 
     def __init__(
         self, models: Sequence[AnimatedInputs], tracks: Sequence[Track], time: float | None = None
     ) -> None:
-        self._models, self._tracks, self._time = list(models), list(tracks), time
+        self._models, self.tracks, self._time = list(models), list(tracks), time
         if time is not None and not any(_inputs_of_role(model, "time") for model in models):
             raise ConfigInvalid(
                 f"the time is {time}, but no scene has a time input",
@@ -86,7 +89,7 @@ class Timeline:
     @property
     def is_animated(self) -> bool:
         """Whether the value of any model input differs between the frames of a video."""
-        has_sweep = any(track.sweep for track in self._tracks)
+        has_sweep = any(track.sweep for track in self.tracks)
         has_advancing_input = any(self._advancing_inputs(model) for model in self._models)
         return self.frames > 1 or has_sweep or has_advancing_input or self.span is not None
 
@@ -103,7 +106,7 @@ class Timeline:
                 values[spec.name] = _time_value_of_frame(spec, ends, number, frames)
         if self._time is not None:
             values |= {spec.name: self._time for spec in _inputs_of_role(model, "time")}
-        for track in self._tracks:
+        for track in self.tracks:
             for spec in model.named(track.input_name):
                 value = track.value_at(model.shape(spec.name), number, frames)
                 is_counter = track.sweep and ROLES[spec.role].index
@@ -129,9 +132,7 @@ class Timeline:
 
     def _advancing_inputs(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
         """Return a model's inputs of time or frame number, which advance where no value is given."""
-        fixed_names = {
-            spec.name for track in self._tracks for spec in model.named(track.input_name)
-        }
+        fixed_names = {spec.name for track in self.tracks for spec in model.named(track.input_name)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _inputs_of_role(model, "time")}
         times, numbers = (

@@ -128,7 +128,6 @@ def render(
     from gsgen.runtime.media.output_formats import require_output_format
     from gsgen.runtime.media.pictures import IMAGE_SUFFIXES
     from gsgen.runtime.playback.frame_sequence import FrameSequence
-    from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
@@ -165,7 +164,6 @@ def render(
         tracks, pose_fps = options.read_tracks(
             pose, inputs, sources, fps, images=image, image_cameras=image_cameras
         )
-        require_pictures(sources, tracks)
         is_published = wsr == "published"
         if is_published:
             _require_weighted_sums(sources)

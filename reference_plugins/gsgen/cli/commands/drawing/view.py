@@ -114,7 +114,6 @@ def view(
     """
     from gsgen.cli.commands.drawing.opening import open_scenes, read_splats, training_camera
     from gsgen.formats.shared.origins import parse_origin
-    from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
@@ -149,7 +148,6 @@ def view(
         tracks, pose_fps = options.read_tracks(
             pose, inputs, sources, fps, images=image, image_cameras=image_cameras
         )
-        require_pictures(sources, tracks)
         playback = LivePlayback(
             sources,
             post=models,
