@@ -1,12 +1,14 @@
 """Frames of models as arrays: those of Python, by each provider."""
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.formats import read_ply, write_ply
+from gsgen.formats import read_ply, write_glb, write_ply
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.sdk.binding import FrameSession
 from support.web.pages import WebSite, float32_result
@@ -52,6 +54,22 @@ def test_a_splat_file_is_one_frame(site: WebSite, tmp_path: Path) -> None:
     assert numbers[:3].tolist() == [50, 50, 12]
     rows = numbers[3:503].reshape(50, 10)
     np.testing.assert_array_equal(rows[:, :3], read_ply(tmp_path / "knot.ply").position)
+
+
+def test_a_file_of_several_parts_is_refused(site: WebSite, tmp_path: Path) -> None:
+    """Each part has a place of its own, and one frame has one."""
+    write_glb(tmp_path / "two.glb", torus_knot(50, degree=0))
+    data = (tmp_path / "two.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    document["nodes"] = [{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [1, 2, 3]}]
+    document["scenes"] = [{"nodes": [0]}]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + length :]
+    site.contents["/two.glb"] = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    with pytest.raises(Exception, match=r"two\.glb.*holds several parts, expected one"):
+        site.page.evaluate(_RUN, ["/two.glb", "wasm", None])
 
 
 def test_an_unknown_provider_is_refused(site: WebSite) -> None:

@@ -113,9 +113,9 @@ def training_folder(path: FilePath) -> TrainingFolder | None:
 def resolve_input(path: FilePath, *, max_bytes: int = MAX_BYTES) -> FilePath:
     """Return the splat file that a path names.
 
-    An address is that of a file, which is fetched; ``-`` is standard input; a folder stands for its newest iteration or its one file of splats; a
-    ZIP archive of another format for its one file of splats, and a gzip file for its
-    content. The latter are unpacked in memory.
+    An address is that of a file, which is fetched; ``-`` is standard input; a folder stands for its
+    newest iteration or its one file of splats; a ZIP archive of another format for its one file of
+    splats, and a gzip file for its content. The latter are unpacked in memory.
 
     Args:
         path: A file, folder, address or ``-``.

@@ -127,7 +127,7 @@ async function fileOfZip(files, kind, name, depth) {
 }
 
 /**
- * Return the first part of a file of splats, from its bytes.
+ * Return the splats of a file of one part, from its bytes.
  * @param {ArrayBuffer} data
  * @returns {Promise<import("./splat_buffers.js").Splats>}
  */
@@ -136,7 +136,8 @@ export async function readSplats(data, name) {
   let splats = null;
   const sink = {
     begin(facts) {
-      splats ??= { ...facts, rows: new Float32Array(10 * facts.count), appearance: new Float32Array(facts.channels * facts.count) };
+      if (splats) failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("holds several parts, expected one");
+      splats = { ...facts, rows: new Float32Array(10 * facts.count), appearance: new Float32Array(facts.channels * facts.count) };
       return 0;
     },
     write(_, first, rows, appearance) {
