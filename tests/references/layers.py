@@ -114,7 +114,7 @@ def import_reference(
 
     Args:
         picture: A ``PICTURE``.
-        halves: Linear colours multiplied by alpha, and alpha; rows may be padded.
+        halves: Linear or encoded colours multiplied by alpha, and alpha; rows may be padded.
         values: The depth buffer.
     """
     width = int(picture["size"][0])
@@ -126,5 +126,6 @@ def import_reference(
     with np.errstate(divide="ignore"):
         depth = picture["offset"] / (value + picture["slope"])
     depth = np.where(values[:, :width] == picture["empty"], 0.5 * NOWHERE, depth)
-    layer = np.concatenate([alpha * encoded, alpha], axis=-1)
+    shown = straight_color if picture["is_encoded"] else encoded
+    layer = np.concatenate([alpha * shown, alpha], axis=-1)
     return layer, np.where(alpha[..., 0] > 0, depth, NOWHERE)

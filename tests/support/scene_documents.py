@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 A: dict[str, Any] = {"path": "a.npz"}
+NOTE: dict[str, Any] = {"position": [0, 1, 2], "text": "door"}
 KEY: dict[str, Any] = {"at": 1, "value": 0.5}
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
@@ -49,6 +50,36 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"meshes": [A | {"shading": "phong"}]},
         r"meshes\[0\]\.shading: unknown word 'phong'",
     ),
+    "mesh_opacity": (
+        {"meshes": [A | {"opacity_scale": 1.5}]},
+        r"meshes\[0\]\.opacity_scale: is 1.5, expected a finite number from 0 to 1",
+    ),
+    "animation": (
+        {"meshes": [A | {"animation": -1}]},
+        r"meshes\[0\]\.animation: is -1, expected text or a whole number from 0",
+    ),
+    "visible": ({"models": [A | {"visible": 1}]}, r"models\[0\]\.visible: is 1, expected true"),
+    "annotation_text": (
+        {"models": [A], "annotations": [{"position": [0, 0, 0]}]},
+        r"annotations\[0\]\.text: is missing, expected text",
+    ),
+    "annotation_position": (
+        {"models": [A], "annotations": [{"text": "door"}]},
+        r"annotations\[0\]\.position: is missing, expected 3 numbers",
+    ),
+    "annotation_field": (
+        {"models": [A], "annotations": [NOTE | {"positon": [0, 0, 0]}]},
+        r"annotations\[0\]: unknown field 'positon'",
+    ),
+    "annotation_camera": (
+        {"models": [A], "annotations": [NOTE | {"camera": "cameras.json"}]},
+        r"annotations\[0\]\.camera: is 'cameras.json', expected orbit",
+    ),
+    "annotation_normal": (
+        {"models": [A], "annotations": [NOTE | {"normal": [0, 1]}]},
+        r"annotations\[0\]\.normal: is \[0, 1\], expected 3 numbers",
+    ),
+    "annotations": ({"models": [A], "annotations": NOTE}, r"annotations: is .* expected a list"),
     "background": ({"models": [A], "background": "puce"}, "background: 'puce' is not a colour"),
     "numbers": ({"models": [A], "background": [1, 2, 3]}, "background: '1,2,3' is not a colour"),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
@@ -121,6 +152,15 @@ READ: list[dict[str, Any]] = [
         "camera": "look-at:0,0,-4,1,0,0",
     },
     {"models": [A], "background": "0.1,0.2,0.3,0", "camera": "orbit:30,20"},
+    {
+        "models": [A | {"visible": False}],
+        "meshes": [
+            "a.glb",
+            A | {"scale": 2, "shading": "unlit", "opacity_scale": 0.5, "animation": 1},
+        ],
+        "annotations": [NOTE, NOTE | {"normal": [0, 0, 1], "camera": "orbit:30,20"}],
+    },
+    {"meshes": [A | {"visible": False, "animation": "walk"}]},
     {
         "models": [
             A | {"inputs": {"time": {"keys": [{"at": 0.5, "value": 2, "easing": "hold"}, KEY]}}}

@@ -13,10 +13,19 @@ from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, S
 
 PICTURE: Final = np.dtype(
     {
-        "names": ["size", "color_row", "depth_row", "first", "empty", "slope", "offset"],
-        "formats": ["2u4", "u4", "u4", "u4", "f4", "f4", "f4"],
-        "offsets": [0, 8, 12, 16, 20, 24, 28],
-        "itemsize": 32,
+        "names": [
+            "size",
+            "color_row",
+            "depth_row",
+            "first",
+            "empty",
+            "slope",
+            "offset",
+            "is_encoded",
+        ],
+        "formats": ["2u4", "u4", "u4", "u4", "f4", "f4", "f4", "u4"],
+        "offsets": [0, 8, 12, 16, 20, 24, 28, 32],
+        "itemsize": 48,
     }
 )
 """The bytes of ``struct Picture`` in import_layer.wgsl."""

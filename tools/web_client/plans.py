@@ -51,9 +51,8 @@ SHAPES: Final = tuple(
     for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
     for side in _SIZES[weighted]
 ) + tuple(
-    Shape(outputs=("color",), layers=LAYERS, deep=deep, size=(side, side))
-    for deep in _BOTH
-    for side in _SIZES[False]
+    Shape(outputs=outputs, layers=LAYERS, deep=deep, size=(side, side))
+    for outputs, deep, side in product(_OUTPUTS[:2], _BOTH, _SIZES[False])
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 

@@ -7,18 +7,13 @@
 
 import * as THREE from "three/webgpu";
 
-import { storageBuffer, uniformBuffer } from "gsgen/gpu_buffers.js";
-import { encodePass } from "gsgen/host.js";
+import { ImageLayers } from "gsgen/image_layers.js";
 import { composed, transposed4 } from "gsgen/matrices.js";
 import { openModel } from "gsgen/model.js";
-import { evaluate } from "gsgen/plan.js";
 import { Presenter } from "gsgen/present.js";
 import { Renderer } from "gsgen/renderer.js";
 import { sharedKernels } from "gsgen/shared.js";
-import { UniformWriter } from "gsgen/uniforms.js";
 
-const COPY_ALIGNMENT = 256; // bytes of a copied texture's rows, as WebGPU demands
-const [COLOR_BYTES, DEPTH_BYTES] = [8, 4]; // of a pixel: rgba16float, depth32float
 // three.js looks along −z with y up; gsgen's cameras look along +z with y down.
 const CAMERA_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
 const SHADOW_SIDE = 256; // pixels: the side of a shadow's images, a multiple of 16
@@ -103,22 +98,19 @@ export class GsgenCompositor {
     const three = new THREE.WebGPURenderer({ device: kernels.device });
     await three.init();
     const presenter = new Presenter(kernels, canvas, await kernels.presenting);
-    const { pipeline } = kernels.plans.layers;
-    return new GsgenCompositor(kernels, canvas, three, presenter, await kernels.pipeline(pipeline));
+    return new GsgenCompositor(kernels, canvas, three, presenter);
   }
 
-  constructor(kernels, canvas, three, presenter, importing) {
+  constructor(kernels, canvas, three, presenter) {
     this._kernels = kernels;
     this._canvas = canvas;
     this._presenter = presenter;
-    this._importing = importing;
     /** The renderer of three.js, for shadow maps and other settings. */
     this.three = three;
     /** The renderer of the Gaussians; its image holds the whole picture. */
     this.gaussians = new Renderer(kernels);
     this._sets = "";
-    /** @type {any[]} Translucent surfaces, then opaque ones: front to back. */
-    this._layers = [];
+    this._layers = new ImageLayers(kernels, THREE, three);
     /** @type {GsgenShadow[]} */
     this._shadows = [];
   }
@@ -139,66 +131,12 @@ export class GsgenCompositor {
    */
   async render(scene, camera) {
     const { width, height } = this._canvas;
-    this._resize(width, height);
     scene.updateMatrixWorld();
     camera.updateMatrixWorld();
     const view = gsgenCamera(camera, width, height);
     await this._place(scene, view);
-    this._renderLayer(this._layers[0], scene, camera, { isTranslucent: true });
-    this._renderLayer(this._layers[1], scene, camera, { isTranslucent: false });
-    await this.gaussians.drawWhole(view, {
-      layers: this._layers.length,
-      encodeLayers: (encoder, host) => this._encodeLayers(encoder, host, camera),
-    });
+    await this.gaussians.drawWhole(view, await this._layers.drawing(scene, camera));
     this._presenter.show(this.gaussians.host.image("color"), view);
-  }
-
-  /** Make the textures that three.js renders into, and the buffers that they are copied to. */
-  _resize(width, height) {
-    if (this._layers[0]?.target.width === width && this._layers[0].target.height === height) return;
-    this._releaseLayers();
-    const { device, plans } = this._kernels;
-    const rows = (bytes) => Math.ceil((bytes * width) / COPY_ALIGNMENT) * COPY_ALIGNMENT;
-    const [colorRow, depthRow] = [rows(COLOR_BYTES), rows(DEPTH_BYTES)];
-    this._layers = Array.from({ length: plans.layers.count }, (_, index) => {
-      const depthTexture = new THREE.DepthTexture(width, height, THREE.FloatType);
-      const options = { type: THREE.HalfFloatType, depthTexture };
-      return {
-        index, colorRow, depthRow,
-        target: new THREE.RenderTarget(width, height, options),
-        uniform: uniformBuffer(device, "picture", plans.uniforms.picture.size),
-        colors: storageBuffer(device, "copied colors", colorRow * height),
-        depths: storageBuffer(device, "copied depths", depthRow * height),
-        groups: null,
-        bound: null,
-      };
-    });
-  }
-
-  /** Render the opaque or the translucent surfaces of a scene into a layer's textures. */
-  _renderLayer({ target }, scene, camera, { isTranslucent }) {
-    const { background } = scene;
-    const changes = [];
-    scene.traverse((object) => {
-      for (const material of [object.material ?? []].flat()) {
-        const { colorWrite, depthWrite } = material;
-        changes.push(() => Object.assign(material, { colorWrite, depthWrite }));
-        // Opaque surfaces hide translucent ones behind them, whose own depth is that of the layer.
-        if (isTranslucent && material.transparent) material.depthWrite = true;
-        else if (isTranslucent) material.colorWrite = false;
-        else if (material.transparent) Object.assign(material, { colorWrite: false, depthWrite: false });
-      }
-    });
-    try {
-      if (isTranslucent) scene.background = null;
-      this.three.setClearColor(0x000000, 0);
-      this.three.setRenderTarget(target);
-      this.three.render(scene, camera);
-    } finally {
-      this.three.setRenderTarget(null);
-      scene.background = background;
-      for (const restore of changes.reverse()) restore();
-    }
   }
 
   /** Give the renderers the Gaussians of a scene at their present places, and draw the shadows. */
@@ -223,60 +161,9 @@ export class GsgenCompositor {
     for (const shadow of this._shadows) await shadow.draw(sets, isChanged);
   }
 
-  /** Copy three's textures into the layers of the frame plan. */
-  _encodeLayers(encoder, host, { projectionMatrix, reversedDepth = false }) {
-    const { device, plans } = this._kernels;
-    const [colors, depths] = [host.input("layer colors"), host.input("layer depths")];
-    const { elements } = projectionMatrix;
-    for (const layer of this._layers) {
-      const { width, height } = layer.target;
-      const picture = new UniformWriter(plans.uniforms.picture);
-      const size = [width, height];
-      picture.write({
-        size, slope: elements[10], offset: elements[14], empty: reversedDepth ? 0 : 1,
-        color_row: layer.colorRow / COLOR_BYTES, depth_row: layer.depthRow / DEPTH_BYTES,
-        first: layer.index * width * height,
-      });
-      device.queue.writeBuffer(layer.uniform, 0, picture.bytes);
-      // Handles of textures are private in three.js, so tests pin the versions that have them here.
-      const texture = (each) => this.three.backend.get(each).texture;
-      encoder.copyTextureToBuffer(
-        { texture: texture(layer.target.texture) },
-        { buffer: layer.colors, bytesPerRow: layer.colorRow }, size,
-      );
-      encoder.copyTextureToBuffer(
-        { texture: texture(layer.target.depthTexture), aspect: "depth-only" },
-        { buffer: layer.depths, bytesPerRow: layer.depthRow }, size,
-      );
-      if (layer.bound !== colors) this._bind(layer, colors, depths);
-    }
-    const counts = plans.layers.groups.map((count) => evaluate(count, host.sizes));
-    const steps = this._layers.map(({ groups }) => ({ pipeline: this._importing, groups, counts }));
-    encodePass(encoder, "layers", steps);
-  }
-
-  _bind(layer, colors, depths) {
-    const { device, plans } = this._kernels;
-    const { groups } = plans.pipelines[plans.layers.pipeline];
-    const resources = [[layer.uniform, layer.colors, layer.depths, colors], [depths]];
-    layer.groups = resources.map((buffers, group) => {
-      const entries = buffers.map((buffer, binding) => ({ binding, resource: { buffer } }));
-      return device.createBindGroup({ layout: this._kernels.layout(groups[group]), entries });
-    });
-    layer.bound = colors;
-  }
-
-  _releaseLayers() {
-    for (const { target, uniform, colors, depths } of this._layers) {
-      target.dispose();
-      for (const buffer of [uniform, colors, depths]) buffer.destroy();
-    }
-    this._layers = [];
-  }
-
   /** Release all GPU objects. */
   destroy() {
-    this._releaseLayers();
+    this._layers.destroy();
     for (const shadow of this._shadows) shadow.destroy();
     this.gaussians.destroy();
     this._presenter.destroy();

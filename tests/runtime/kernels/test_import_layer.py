@@ -11,9 +11,11 @@ from web_client.browser_kernels import PICTURE, ImportLayer
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (17, 5), (33, 40)])
-@pytest.mark.parametrize("is_reversed", [False, True])
+@pytest.mark.parametrize(
+    ("is_reversed", "is_encoded"), [(False, False), (True, False), (False, True)]
+)
 def test_a_layer_is_a_picture_with_depths(
-    device: Device, width: int, height: int, is_reversed: bool
+    device: Device, width: int, height: int, is_reversed: bool, is_encoded: bool
 ) -> None:
     """Of both kinds of depth buffer, with padded rows, empty pixels and a background."""
     rng = np.random.default_rng(width)
@@ -29,7 +31,10 @@ def test_a_layer_is_a_picture_with_depths(
     halves = np.concatenate([alpha * rng.random((*alpha.shape[:2], 3)), alpha], -1)
     halves = halves.astype(np.float16)
     picture = np.array(
-        ((width, height), width + 5, width + 3, layer * width * height, empty, slope, offset),
+        (
+            *((width, height), width + 5, width + 3, layer * width * height),
+            *(empty, slope, offset, is_encoded),
+        ),
         PICTURE,
     )
     pixels = width * height

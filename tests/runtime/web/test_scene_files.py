@@ -76,6 +76,16 @@ def test_what_python_reads_has_the_same_values(
             transform = np.reshape(model["transform"], (4, 4))
             np.testing.assert_allclose(transform, own.transform, atol=1e-15, rtol=1e-14)
             assert model["opacity"] == own.settings.opacity_scale
+            assert model["isVisible"] == own.visible
+        for mesh, own in zip(scene["meshes"], expected.meshes, strict=True):
+            np.testing.assert_allclose(np.reshape(mesh["transform"], (4, 4)), own.transform)
+            assert (mesh["shading"], mesh["isVisible"]) == (own.shading, own.visible)
+            is_whole = mesh["opacity"] == 1 and mesh["animation"] is None
+            assert is_whole == (not own.page_only)
+        for note, own in zip(scene["annotations"], expected.annotations, strict=True):
+            assert (note["position"], note["text"]) == (own.position.tolist(), own.text)
+            assert note["normal"] == (None if own.normal is None else own.normal.tolist())
+            assert (note["camera"] is None) == (own.camera is None)
         background = expected.background
         assert scene["background"] == (None if background is None else list(background))
         length, loop = (expected.span.seconds, expected.span.loop) if expected.span else (0, False)

@@ -19,7 +19,8 @@ _SCRIPT = """
 import * as three from "three/webgpu";
 import * as splats from "three/addons/objects/GaussianSplat.js";
 const { ThreeGaussians, THREE_REVISIONS, loadThree, threeSettings } = await import(process.argv[2]);
-threeSettings.load = async () => [three, splats];
+const load = (three) => async (name) => (name === "three/webgpu" ? three : splats);
+threeSettings.load = load(three);
 const rows = (count) => Float32Array.from({ length: 10 * count }, (_, i) => 1 + i);
 const transform = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 const frames = { capacity: 3, channels: 12, space: "sh", transform, antialias: "classic" };
@@ -50,7 +51,7 @@ show({ rows: written[1], appearance, live: 2 });
 show({ rows: written[0], appearance, live: 1 }, { view: transform, fx: 1, fy: 1 });
 const refusals = [];
 for (const REVISION of [`${THREE_REVISIONS[0] - 1}`, `${THREE_REVISIONS[1] + 1}dev`]) {
-  threeSettings.load = async () => [{ ...three, REVISION }, splats];
+  threeSettings.load = load({ ...three, REVISION });
   await loadThree().catch(({ message }) => refusals.push(message));
 }
 console.log(JSON.stringify({ results, refusals, revisions: THREE_REVISIONS, fields: Object.keys(object) }));

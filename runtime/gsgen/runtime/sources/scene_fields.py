@@ -3,7 +3,7 @@
 __all__ = ["Fields", "fields_of", "refuse"]
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NoReturn, TypeVar, final
+from typing import NoReturn, TypeVar, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -170,12 +170,20 @@ class Fields:
             self.refuse("keys", "has no key frame")
         return KeyFrames(tuple(times), np.array(values, np.float64), tuple(easings))
 
-    def switch(self, name: str) -> bool:
-        """Read a field of a scene file that is true or false; false if it is absent."""
+    def switch(self, name: str, *, default: bool = False) -> bool:
+        """Read a field of a scene file that is true or false."""
         value = self.unchecked_value(name)
         if value is not None and not isinstance(value, bool):
             self._raise_field_mismatch(name, "true or false")
-        return bool(value)
+        return default if value is None else bool(value)
+
+    def name_or_number(self, name: str) -> str | int | None:
+        """Read a field of a scene file that is a text, or a whole number from 0."""
+        value = self.unchecked_value(name)
+        is_number = isinstance(value, int) and not isinstance(value, bool) and value >= 0
+        if value is not None and not is_number and not (isinstance(value, str) and value):
+            self._raise_field_mismatch(name, "text or a whole number from 0")
+        return cast(str | int | None, value)
 
     def _values(self, name: str, value: object) -> np.ndarray:
         try:

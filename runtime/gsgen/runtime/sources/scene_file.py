@@ -1,6 +1,6 @@
 """Reads scene files: a ``scene.json`` that places models and meshes in one world."""
 
-__all__ = ["SceneFile", "is_scene_file", "open_scene", "read_scene"]
+__all__ = ["SceneAnnotation", "SceneFile", "is_scene_file", "open_scene", "read_scene"]
 
 import json
 from collections.abc import Callable, Mapping
@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.origins import Origin
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.camera import Camera
@@ -39,6 +40,8 @@ Result = TypeVar("Result")
 
 _VERSION_FIELD: Final = "gsgen_scene"
 _SCENE_FIELDS: Final = frozenset({_VERSION_FIELD, "models", "meshes"})
+_CAMERA_FORMS: Final = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY,TZ"
+_FBX: Final = ".fbx"
 _MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 
 
@@ -53,17 +56,47 @@ class SceneModel:
     inputs: Mapping[str, np.ndarray]
     keys: Mapping[str, KeyFrames]
     where: str
+    visible: bool = True
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneMesh:
-    """A mesh that a scene file lists; ``shading`` None keeps the shading of the mesh file."""
+    """A mesh that a scene file lists.
+
+    Attributes:
+        path: The file.
+        transform: Its space → world, [4, 4].
+        shading: None keeps the shading of the mesh file.
+        where: Its location in the scene file.
+        visible: Whether it is drawn.
+        page_only: What pages alone draw of it, in words.
+    """
 
     path: Path
     transform: Float[np.ndarray, "4 4"]
     shading: Shading | None
     where: str
+    visible: bool = True
+    page_only: tuple[str, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SceneAnnotation:
+    """A text at a point of the world, which pages show.
+
+    Attributes:
+        position: The point, [3].
+        text: The text.
+        normal: Where it looks: it is hidden from cameras behind it; None for all cameras.
+        camera: The camera that a click takes: an orbit of 2 or 3 numbers, or an eye and a target.
+    """
+
+    position: Float[np.ndarray, "3"]
+    text: str
+    normal: Float[np.ndarray, "3"] | None
+    camera: tuple[float, ...] | None
 
 
 @final
@@ -84,6 +117,7 @@ class SceneFile:
         up: Axis of the world that points up; it overrides that of the models.
         kind: ``pinhole``, ``orthographic`` or ``panorama``, if ``camera`` is no camera.
         span: The timeline; None if nothing has key frames and there is none.
+        annotations: Texts at points of the world.
     """
 
     path: Path
@@ -97,6 +131,7 @@ class SceneFile:
     up: str = "-y"
     kind: Literal["pinhole", "orthographic", "panorama"] | None = None
     span: Span | None = None
+    annotations: tuple[SceneAnnotation, ...] = ()
 
 
 def is_scene_file(path: Path) -> bool:
@@ -142,6 +177,7 @@ def read_scene(path: str | Path) -> SceneFile:
         up=fields.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
         kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
         span=_span(fields, max((keys.times[-1] for keys in keyed), default=0.0)),
+        annotations=tuple(_read_annotation(part) for part in fields.parts("annotations")),
     )
     fields.close()
     return scene_file
@@ -155,9 +191,10 @@ def open_scene(
     confined: "ConfinedModels | None" = None,
     origin: Origin | None = None,
 ) -> list[Source]:
-    """Open the files of a scene file: first each model, then each mesh.
+    """Open the visible files of a scene file: first each model, then each mesh.
 
-    The sources are for a ``Player`` or a ``FrameSequence``; the caller closes them.
+    The sources are for a ``Player`` or a ``FrameSequence``; the caller closes them. A warning names
+    what pages alone draw.
 
     Args:
         scene: The scene file, or its path.
@@ -176,6 +213,8 @@ def open_scene(
     with ExitStack() as exit_stack:
         sources: list[Source] = []
         for model in scene_file.models:
+            if not model.visible:
+                continue
             open_file = partial(
                 open_source,
                 model.path,
@@ -187,9 +226,24 @@ def open_scene(
             )
             sources.append(_open_model(model, open_file, scene_file.span))
             exit_stack.callback(sources[-1].close)
-        sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
+        sources += [_open_mesh(mesh) for mesh in scene_file.meshes if _is_drawn(mesh)]
+        if not sources:
+            message, hint = (
+                "nothing of the scene is drawn here",
+                "See it in a page: gsgen view --web",
+            )
+            raise SceneInvalid(message, where=str(scene_file.path), hint=hint)
         exit_stack.pop_all()  # from here on the caller closes the sources
+    if scene_file.annotations:
+        warn_unused(scene_file.path, ["annotations, which pages alone show"])
     return sources
+
+
+def _is_drawn(mesh: SceneMesh) -> bool:
+    """Return whether a mesh is drawn here; warn of what pages alone draw of it."""
+    if mesh.visible:
+        warn_unused(mesh.path, [f"{part}, which pages alone draw" for part in mesh.page_only])
+    return mesh.visible and mesh.path.suffix.lower() != _FBX
 
 
 def _open_model(model: SceneModel, open_file: Callable[[], Source], span: Span | None) -> Source:
@@ -277,6 +331,7 @@ def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
         inputs=inputs,
         keys=keys,
         where=fields.where,
+        visible=fields.switch("visible", default=True),
     )
     fields.close()
     return model
@@ -284,10 +339,40 @@ def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
 
 def _read_mesh(fields: Fields, folder: Path) -> SceneMesh:
     path = folder / fields.required_text("path")
-    shading = fields.choice("shading", SHADINGS)
-    part = SceneMesh(path, _read_transform(fields), shading, fields.where)
+    opacity = fields.number("opacity_scale", low=0, high=1)
+    page_only = {
+        "the FBX file": path.suffix.lower() == _FBX,
+        "its animation": fields.name_or_number("animation") is not None,
+        "its opacity": opacity not in (None, 1),
+    }
+    part = SceneMesh(
+        path=path,
+        transform=_read_transform(fields),
+        shading=fields.choice("shading", SHADINGS),
+        where=fields.where,
+        visible=fields.switch("visible", default=True),
+        page_only=tuple(name for name, is_used in page_only.items() if is_used),
+    )
     fields.close()
     return part
+
+
+def _read_annotation(fields: Fields) -> SceneAnnotation:
+    position = fields.array("position", (3,))
+    if position is None:
+        fields.refuse("position", "is missing, expected 3 numbers")
+    camera = fields.text("camera")
+    place = None if camera is None else _keyed_place(camera)
+    if camera is not None and place is None:
+        fields.refuse("camera", f"is {camera!r}, expected {_CAMERA_FORMS}")
+    annotation = SceneAnnotation(
+        position=position,
+        text=fields.required_text("text"),
+        normal=fields.array("normal", (3,)),
+        camera=None if place is None else tuple(place),
+    )
+    fields.close()
+    return annotation
 
 
 def _read_transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
@@ -386,8 +471,7 @@ def _keyed_place(value: object) -> list[float] | None:
 def _camera(fields: Fields, folder: Path) -> str | Camera | KeyFrames | None:
     value = fields.text_or("camera", dict, "an object")
     if isinstance(value, dict) and isinstance(value.get("keys"), list):
-        form = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY,TZ"
-        return fields.nested_fields("camera").key_frames(_keyed_place, form)
+        return fields.nested_fields("camera").key_frames(_keyed_place, _CAMERA_FORMS)
     if isinstance(value, dict):
         try:
             return Camera.from_dict(value)

@@ -1,7 +1,8 @@
 // Import layer: copy the picture and the depth buffer of another renderer to an image layer.
 //
 // One invocation per pixel. Rows of copied textures are padded. The picture has linear colours in
-// float16, multiplied by alpha; a layer has sRGB colours, multiplied by alpha, as splats are blended.
+// float16, multiplied by alpha, or those of the splats; a layer has sRGB colours, multiplied by
+// alpha, as splats are blended.
 
 struct Picture {
     size: vec2u,     // of the image, pixels
@@ -11,6 +12,7 @@ struct Picture {
     empty: f32,      // the depth buffer's value where nothing is drawn
     slope: f32,      // the depth along +z is offset / (value + slope)
     offset: f32,
+    is_encoded: u32,  // whether the picture has the colours of the splats already
 }
 
 @group(0) @binding(0) var<uniform> picture: Picture;
@@ -40,6 +42,6 @@ fn import_layer(@builtin(global_invocation_id) at: vec3u) {
     let alpha = clamp(color.a, 0.0, 1.0);
     let straight = clamp(color.rgb / max(alpha, 1e-6), vec3f(0.0), vec3f(1.0));
     let depth = select(picture.offset / (value + picture.slope), BEHIND, value == picture.empty);
-    layers[place] = vec4f(alpha * encoded(straight), alpha);
+    layers[place] = vec4f(alpha * select(encoded(straight), straight, picture.is_encoded == 1u), alpha);
     depths[place] = select(NOWHERE, depth, alpha > 0.0);
 }

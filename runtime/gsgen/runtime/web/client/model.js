@@ -28,6 +28,9 @@ export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a mode
  * @property {any[]} [findings]
  * @property {number[] | null} [background] Of scenes: red, green, blue and alpha.
  * @property {Partial<import("./orbit_camera.js").Orbit> & {view?: number[]}} [camera] Of scenes: the first one.
+ * @property {import("./scene_file.js").SceneAnnotation[]} [annotations] Of scenes.
+ * @property {(camera: any, output: string) => Promise<any>} [surfaces] Of scenes: options with which a renderer
+ *     draws meshes among the Gaussians.
  * @property {(seconds: number) => any} [cameraAt] Of scenes: the orbit at a time; null without one.
  */
 

@@ -11,6 +11,7 @@ const AXES = ["+x", "-x", "+y", "-y", "+z", "-z"];
 const COLORS = { black: [0, 0, 0, 1], white: [1, 1, 1, 1], transparent: [0, 0, 0, 0] };
 const KINDS = ["pinhole", "orthographic", "panorama"];
 const SHADINGS = ["unlit", "headlight"];
+const CAMERA_FORMS = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY,TZ";
 const ORBIT = { azimuth: 30, elevation: 20 };
 const LONGEST = 60; // letters of a value in a message
 
@@ -25,12 +26,27 @@ const LONGEST = 60; // letters of a value in a message
  * @property {{low: number[], high: number[]} | null} clip
  * @property {boolean} isSorted Whether weighted sums are not used.
  * @property {Record<string, any>} inputs Numbers, or key frames.
+ * @property {boolean} isVisible
  * @property {string} where
  * @property {Record<string, any>} fields As they are written.
  */
+/**
+ * A mesh of a scene.
+ * @typedef {object} SceneMesh
+ * @property {string} path Relative to the scene file.
+ * @property {readonly number[]} transform Local → world, 4×4 row by row.
+ * @property {"unlit" | "headlight" | null} shading Null for that of the file.
+ * @property {number} opacity From 0 to 1.
+ * @property {string | number | null} animation Name or number of a clip of the file.
+ * @property {boolean} isVisible
+ * @property {string} where
+ * @property {Record<string, any>} fields As they are written.
+ */
+/** @typedef {{position: number[], text: string, normal: number[] | null, camera: any}} SceneAnnotation The camera as an orbit. */
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isNumber = (value) => Number.isFinite(value) && Math.abs(value) <= 1e12;
+const isSwitch = (value) => typeof value === "boolean";
 const isText = (value) => typeof value === "string" && value !== "";
 const isList = (length) => (value) => Array.isArray(value) && value.length === length && value.every(isNumber);
 const isMatrix = (value) => Array.isArray(value) && value.length === 4 && value.every(isList(4));
@@ -112,9 +128,8 @@ export function readScene(document, name, warn) {
   if (version && version.split(".")[0] !== VERSION) fields.refuse("gsgen_scene", `is ${version}, expected ${VERSION}.0`);
   const models = fields.parts("models").map(modelOf);
   const meshes = fields.parts("meshes").map(meshOf);
-  if (meshes.length) warn("meshes", "are not drawn in pages");
-  if (!models.length) {
-    throw new GsgenError("the scene file has no models", { where: name, hint: "Name a file in `models`." });
+  if (!models.length && !meshes.length) {
+    throw new GsgenError("the scene file has neither models nor meshes", { where: name, hint: "Name a file in `models`." });
   }
   for (const side of ["width", "height"]) fields.read(side, (value) => Number.isInteger(value) && within(1, 16384)(value), "a whole number from 1 to 16384");
   const kind = fields.choice("kind", KINDS);
@@ -123,16 +138,17 @@ export function readScene(document, name, warn) {
   const fieldOfView = fields.read("fov", (value) => isNumber(value) && value > 0 && value < 180, "a number between 0 and 180");
   const camera = cameraOf(fields, up, warn);
   const background = backgroundOf(fields);
+  const annotations = fields.parts("annotations").map((part) => annotationOf(part, up));
   const timeline = fields.nested("timeline");
   const keyed = [camera, ...models.flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
   const last = Math.max(0, ...keyed.flatMap(({ keys }) => keys.map(({ at }) => at)));
   const seconds = timeline?.read("seconds", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? last;
   timeline?.read("fps", within(0.1, 100), "a number from 0.1 to 100");
-  const loop = timeline?.read("loop", (value) => typeof value === "boolean", "true or false") ?? false;
+  const loop = timeline?.read("loop", isSwitch, "true or false") ?? false;
   timeline?.close();
   if (timeline && !seconds) timeline.refuse("seconds", "is 0, expected a number above 0, or key frames");
   fields.close();
-  return { models, camera, background, up, fieldOfView, seconds, loop };
+  return { models, meshes, annotations, camera, background, up, fieldOfView, seconds, loop };
 }
 
 /** @param {Fields} fields @returns {SceneModel} */
@@ -147,6 +163,7 @@ function modelOf(fields) {
     clip: clipOf(fields),
     isSorted: fields.choice("blend", ["alpha", "declared"]) === "alpha",
     inputs: inputsOf(fields),
+    isVisible: fields.read("visible", isSwitch, "true or false") ?? true,
     where: fields.where,
     fields: fields.document,
   };
@@ -154,10 +171,31 @@ function modelOf(fields) {
   return model;
 }
 
+/** @param {Fields} fields @returns {SceneMesh} */
 function meshOf(fields) {
-  const mesh = { path: fields.required("path"), shading: fields.choice("shading", SHADINGS), transform: transformOf(fields) };
+  const isName = (value) => isText(value) || (Number.isInteger(value) && value >= 0);
+  const mesh = {
+    path: fields.required("path"),
+    transform: transformOf(fields),
+    shading: fields.choice("shading", SHADINGS),
+    opacity: fields.read("opacity_scale", within(0, 1), "a finite number from 0 to 1") ?? 1,
+    animation: fields.read("animation", isName, "text or a whole number from 0"),
+    isVisible: fields.read("visible", isSwitch, "true or false") ?? true,
+    where: fields.where,
+    fields: fields.document,
+  };
   fields.close();
   return mesh;
+}
+
+/** @param {Fields} fields @returns {SceneAnnotation} */
+function annotationOf(fields, up) {
+  const position = fields.read("position", isList(3), "3 numbers") ?? fields.refuse("position", "is missing, expected 3 numbers");
+  const camera = fields.read("camera", (value) => isText(value) && placeOf(value) !== null, CAMERA_FORMS);
+  const normal = fields.read("normal", isList(3), "3 numbers");
+  const annotation = { position, text: fields.required("text"), normal, camera: camera && orbitOf(placeOf(camera), up) };
+  fields.close();
+  return annotation;
 }
 
 /** Return the place of an object: its matrix, or first scaled, then turned, then moved. */
@@ -285,8 +323,7 @@ function cameraOf(fields, up, warn) {
   }
   if (!value) return null;
   if (isKeyed(value)) {
-    const expected = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY,TZ";
-    return { keys: keysOf(fields.nested("camera"), placeOf, expected) };
+    return { keys: keysOf(fields.nested("camera"), placeOf, CAMERA_FORMS) };
   }
   const { view, fx, fy, cx, cy, width, height, kind = "pinhole", distortion } = value;
   if (!isMatrix(view) || ![fx, fy, cx, cy, width, height].every(isNumber)) {

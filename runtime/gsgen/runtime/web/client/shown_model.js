@@ -93,7 +93,8 @@ export class ShownModel {
     const [red, green, blue, alpha] = look.background;
     const sRgb = [red, green, blue];
     const light = model.buffers.isLinear ? sRgb.map(linearOf) : sRgb;
-    const options = { outputs: [this._output(look)], background: light.map((part) => part * alpha) };
+    const output = this._output(look);
+    const options = { outputs: [output], background: light.map((part) => part * alpha), ...(await model.surfaces?.(camera, output)) };
     if (renderer !== this.renderer) renderer.setScene(model.sets);
     if (isWhole) await renderer.drawWhole(camera, options);
     else await renderer.draw(camera, options);
@@ -160,7 +161,7 @@ export class ShownModel {
     const pixel = /** @type {const} */ ([Math.floor(x), Math.floor(y)]);
     return this._aside(async (renderer) => {
       renderer.setScene(this.model.sets);
-      await renderer.drawWhole(camera, { outputs: ["depth"] });
+      await renderer.drawWhole(camera, { outputs: ["depth"], ...(await this.model.surfaces?.(camera, "depth")) });
       const [, median] = await renderer.readPixel("depth", ...pixel);
       if (!(median > 0)) return null;
       await renderer.drawWhole(camera, { outputs: ["normal"] });

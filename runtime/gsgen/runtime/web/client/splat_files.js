@@ -60,7 +60,7 @@ export async function readRequest({ name, address, bytes, cache }, sink, onProgr
 }
 
 /** Return the first bytes of a file as a text with a character for each, as `file_kinds.js` reads them. */
-function textOf(head) {
+export function textOf(head) {
   let text = "";
   for (let i = 0; i < head.length; i += 4096) text += String.fromCharCode(...head.subarray(i, i + 4096));
   return text;

@@ -6,10 +6,11 @@
 
 import { GsgenError } from "./errors.js";
 import { isKeyed, valueAt } from "./key_frames.js";
-import { composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
+import { IDENTITY, composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
 import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
 import { orbitOf, readScene } from "./scene_file.js";
+import { SplatBuffers } from "./splat_buffers.js";
 import { sourceFile } from "./source_files.js";
 import { nearestWord } from "./words.js";
 
@@ -55,46 +56,68 @@ export class Stage {
   static async open(kernels, document, name, options) {
     const warn = options.onWarning ?? (() => {});
     const scene = readScene(document, name, warn);
-    const opening = scene.models.map(async (part) => {
-      const { path, where } = part;
+    const base = new URL(options.source ?? name, globalThis.document.baseURI);
+    const signal = options.signal ?? new AbortController().signal;
+    const fileOf = async ({ path, where }) => {
       const isInlined = path.startsWith("#");
-      const base = new URL(options.source ?? name, globalThis.document.baseURI);
       if (!isInlined && !URL.canParse(path, base)) throw new GsgenError("is no address", { where: `${where}.path` });
-      const address = isInlined ? path : new URL(path, base).href;
-      const file = sourceFile(address);
-      const data = await file.bytes(() => {}, options.signal ?? new AbortController().signal);
-      const model = await openModel(kernels, data, path, { ...options, source: address });
+      const file = sourceFile(isInlined ? path : new URL(path, base).href);
+      return { file, data: await file.bytes(() => {}, signal) };
+    };
+    const openingMeshes = Promise.all(scene.meshes.map(async (part) => {
+      const [{ openMesh }, { file, data }] = await Promise.all([import("./stage_meshes.js"), fileOf(part)]);
+      return openMesh(part, data, file.address.startsWith("#") ? base.href : file.address, warn);
+    }));
+    openingMeshes.catch(() => {}); // who waits for the stage gets its error
+    const opening = scene.models.map(async (part) => {
+      const { file, data } = await fileOf(part);
+      const model = await openModel(kernels, data, part.path, { ...options, source: file.address });
       if (model instanceof Stage) {
         model.destroy();
-        throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${where}.path` });
+        throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });
       }
       return { ...part, model, file };
     });
     const results = await Promise.allSettled(opening);
     const entries = results.flatMap((result) => (result.status === "fulfilled" ? [result.value] : []));
-    const release = () => entries.forEach(({ model }) => model.destroy());
-    const failed = results.find(({ status }) => status === "rejected");
+    /** @type {import("./stage_meshes.js").StageMeshes | null} */
+    let drawn = null;
     try {
+      const failed = results.find(({ status }) => status === "rejected");
       if (failed) throw /** @type {PromiseRejectedResult} */ (failed).reason;
-      return new Stage(entries, scene, document);
+      const meshes = await openingMeshes;
+      const isLinear = entries.some(({ model }) => model.buffers.isLinear);
+      if (meshes.length) drawn = await (await import("./stage_meshes.js")).StageMeshes.open(kernels, meshes, isLinear);
+      return new Stage(kernels, entries, drawn, scene, document);
     } catch (error) {
-      release();
+      drawn?.destroy();
+      for (const { model } of entries) model.destroy();
       throw error;
     }
   }
 
   /**
+   * @param {import("./host.js").KernelCache} kernels
    * @param {Entry[]} entries
+   * @param {import("./stage_meshes.js").StageMeshes | null} meshes
    * @param {ReturnType<typeof readScene>} scene
    * @param {Record<string, any>} document What the scene was read from.
    */
-  constructor(entries, scene, document) {
+  constructor({ device, plans }, entries, meshes, scene, document) {
     this.entries = entries;
+    this._meshes = meshes;
+    /** Meshes, whose transform, opacity and visibility may be set, too. */
+    this.meshes = meshes?.entries ?? [];
+    this._none = new SplatBuffers(device, plans, { count: 1, channels: 3, space: "rgb" }); // frame plans have rows
     this._scene = scene;
     this._document = document;
     const spaces = new Set(entries.map(({ model }) => model.buffers.isLinear));
     if (spaces.size > 1) throw new GsgenError("the models have colours in sRGB and in linear light: they do not blend");
+    if (meshes && entries.some(({ model, isSorted }) => !isSorted && model.sets.some(({ weighted, buffers }) => weighted ?? buffers.weighted))) {
+      throw new GsgenError("meshes are not drawn among weighted sums in pages", { where: "meshes", hint: 'Give these models "blend": "alpha".' });
+    }
     for (const { inputs, model, where } of entries) checkInputs(inputs, model, where);
+    this.annotations = scene.annotations;
     this.background = scene.background;
     this.up = scene.up;
     this.inputs = entries.flatMap(({ model }) => model.inputs);
@@ -107,9 +130,10 @@ export class Stage {
         return buffers.reduce((sum, { count }) => sum + count, 0);
       },
     };
-    this.extent = extentOf(entries[0]);
-    const clocks = entries.flatMap(({ model }) => model.time ?? []);
-    const seconds = scene.seconds || Math.max(0, ...clocks.map((clock) => clock.seconds));
+    const first = entries.find(({ isVisible }) => isVisible) ?? (meshes ? null : entries[0]);
+    this.extent = first ? extentOf(first) : /** @type {NonNullable<typeof meshes>} */ (meshes).extent;
+    const clocks = entries.flatMap(({ model, isVisible }) => (isVisible && model.time) || []);
+    const seconds = scene.seconds || Math.max(meshes?.seconds ?? 0, ...clocks.map((clock) => clock.seconds));
     const loop = scene.seconds ? scene.loop : clocks.every((clock) => clock.loop);
     /** Seconds of the timeline. @type {any} */
     this.time = seconds ? { name: CLOCK, low: 0, high: seconds, seconds, loop } : null;
@@ -140,7 +164,8 @@ export class Stage {
   async update(given, camera) {
     const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
-    for (const entry of this.entries) {
+    this._meshes?.moveTo(seconds);
+    for (const entry of this.entries.filter(({ isVisible }) => isVisible)) {
       const { model, inputs } = entry;
       const [keyed, fixed] = split(inputs, seconds, model);
       const all = { ...this._ownTime(model, seconds), ...keyed, ...values, ...fixed };
@@ -158,7 +183,9 @@ export class Stage {
 
   /** Give all sets their places; return whether there are others than before. */
   _place() {
-    const sets = this.entries.flatMap((entry) => entry.model.sets.map((set) => [set, placed(set, entry)]));
+    const visible = this.entries.filter(({ isVisible }) => isVisible);
+    const sets = visible.flatMap((entry) => entry.model.sets.map((set) => [set, placed(set, entry)]));
+    if (!sets.length) sets.push([null, { buffers: this._none, transform: IDENTITY }]);
     const isSame = sets.length === this.sets.length && sets.every(([, { buffers }], i) => buffers === this.sets[i].buffers);
     // The renderer reads the sets of a scene in every frame; others need another plan.
     if (isSame) sets.forEach(([, set], i) => Object.assign(this.sets[i], set));
@@ -172,17 +199,23 @@ export class Stage {
    * @param {import("./orbit_camera.js").Orbit} [orbit] Where the camera looks.
    */
   toJSON(camera, orbit) {
-    const { models: _, ...own } = this._document;
-    const models = this.entries.map(({ fields, path, transform, opacity }) => {
-      const { translate, rotate, scale, ...rest } = fields;
+    const [models, meshes] = [this.entries, this.meshes].map((entries) => entries.map(({ fields, path, transform, opacity, isVisible }) => {
+      const { translate, rotate, scale, visible, ...rest } = fields;
       const rows = [0, 4, 8, 12].map((first) => transform.slice(first, first + 4));
-      return { ...rest, path, transform: rows, opacity_scale: opacity };
-    });
-        const place = camera && orbit && !isKeyed(own.camera) ? { camera: `look-at:${[...eyeOf(camera), ...orbit.target]}`, fov: orbit.fieldOfView } : {};
-    return { gsgen_scene: "1.0", ...own, models, ...place };
+      return { ...rest, path, transform: rows, opacity_scale: opacity, ...(isVisible ? {} : { visible: false }) };
+    }));
+    const place = camera && orbit && !isKeyed(this._document.camera) ? { camera: `look-at:${[...eyeOf(camera), ...orbit.target]}`, fov: orbit.fieldOfView } : {};
+    return { gsgen_scene: "1.0", ...this._document, models, ...(meshes.length ? { meshes } : {}), ...place };
+  }
+
+  /** Return how a renderer draws the meshes, too. @param {string} output */
+  async surfaces(camera, output) {
+    return this._meshes && output !== "normal" ? this._meshes.drawing(camera) : {};
   }
 
   destroy() {
+    this._none.destroy();
+    this._meshes?.destroy();
     for (const { model } of this.entries) model.destroy();
   }
 }

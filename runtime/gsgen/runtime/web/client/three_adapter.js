@@ -5,42 +5,19 @@
  * versions whose buffers are these is tested.
  */
 
-import { GsgenError } from "./errors.js";
 import { composed, transposed4 } from "./matrices.js";
+import { importThree } from "./three_modules.js";
 
-/** The first and the last revision of three.js whose private buffers are known here. */
-export const THREE_REVISIONS = Object.freeze([187, 187]);
+export { THREE_REVISIONS, threeSettings } from "./three_modules.js";
 
 const KERNEL = 0.3; // pixels² by which three.js widens Gaussians
 const C0 = 0.28209479177387814; // of the constant spherical harmonic
 const BAND_NUMBERS = [0, 9, 15, 21]; // coefficients of a band, of three colours
 const BAND_BYTES = [0, 12, 16, 24]; // in whole words
 
-/**
- * Modules of three.js, if its bare names resolve otherwise than in the page's import map.
- * @type {{load: (() => Promise<[any, any]>) | null}} A function that imports both:
- *     `() => Promise.all([import("three/webgpu"), import("three/addons/objects/GaussianSplat.js")])`.
- */
-export const threeSettings = { load: null };
-
-const NAMES = ["three/webgpu", "three/addons/objects/GaussianSplat.js"];
-
 /** Load three.js. @returns {Promise<{three: any, GaussianSplat: any}>} */
 export async function loadThree() {
-  const byName = () => Promise.all(NAMES.map((name) => import(/* @vite-ignore */ /* webpackIgnore: true */ name)));
-  const [first, last] = THREE_REVISIONS;
-  const hint = `Name three.js r${last} in the page's import map: three, three/webgpu, three/tsl and three/addons/.`;
-  let modules;
-  try {
-    modules = await (threeSettings.load ?? byName)();
-  } catch (error) {
-    throw new GsgenError(`three.js cannot be loaded: ${error.message}`, { hint });
-  }
-  const [three, { GaussianSplat }] = modules;
-  const revision = Number.parseInt(three.REVISION, 10);
-  if (!(revision >= first && revision <= last)) {
-    throw new GsgenError(`three.js is r${three.REVISION}, expected r${first} to r${last}`, { hint });
-  }
+  const [three, { GaussianSplat }] = await importThree("objects/GaussianSplat.js");
   return { three, GaussianSplat };
 }
 

@@ -3,18 +3,14 @@
 import { GsgenError, failing } from "./errors.js";
 import { framesOf } from "./frames.js";
 import { SURVEY_CAMERA, surveyedValues } from "./generator_inputs.js";
-import { composed, linearPart, times, transposed4 } from "./matrices.js";
+import { linearPart, times } from "./matrices.js";
 import { extentOf, mergedExtent } from "./model.js";
 import { inTurns, once } from "./once.js";
 import { OrbitCamera } from "./orbit_camera.js";
 import { Playback } from "./playback.js";
 import { encodedCanvas, timeValue } from "./shown_model.js";
 import { ThreeGaussians, loadThree } from "./three_adapter.js";
-
-// three.js looks along −z with y up; the client's cameras look along +z with y down.
-const CAMERA_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
-const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
-const RADIANS = Math.PI / 180;
+import { placeEye } from "./three_modules.js";
 
 /** The renderer of three.js, whose canvas no page shows: a page has few contexts of WebGL. */
 const sharedThree = once(
@@ -90,7 +86,6 @@ class ModelOfThree {
     this._scene = new three.Scene();
     this._scene.add(this._gaussians.object);
     this._eye = new three.PerspectiveCamera();
-    this._eye.matrixAutoUpdate = false;
     /** @type {import("./frames.js").Frame} */
     this._frame = { rows: new Float32Array(0), appearance: new Float32Array(0), live: 0 };
     /** @type {ImageBitmap | null} */
@@ -128,21 +123,10 @@ class ModelOfThree {
     const color = new three.Color().setRGB(red, green, blue, isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace);
     renderer.setClearColor(color, alpha);
     renderer.setSize(width, height, false);
-    this._place(camera);
+    placeEye(this._eye, camera);
     this._gaussians.sort();
     renderer.render(this._scene, this._eye);
     return camera;
-  }
-
-  /** Give three's camera the view and the lens of a camera. @param {import("./camera.js").Camera} camera */
-  _place({ view, fx, fy, width, height, near }) {
-    const { _eye: eye } = this;
-    eye.fov = (2 * Math.atan(height / (2 * fy))) / RADIANS;
-    eye.aspect = (width / fx) * (fy / height);
-    [eye.near, eye.far] = [near, FAR_RATIO * near];
-    eye.updateProjectionMatrix();
-    eye.matrix.fromArray(transposed4(composed(CAMERA_AXES, view))).invert();
-    eye.matrixWorldNeedsUpdate = true;
   }
 
   /** Only scenes have timelines of cameras. */
