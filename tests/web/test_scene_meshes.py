@@ -1,6 +1,5 @@
 """Meshes in scene files of pages: three.js draws them among the Gaussians, as Python draws them."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
