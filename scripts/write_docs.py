@@ -1,5 +1,7 @@
 """Generate the parts of the documentation that repeat facts of the code, and the JSON Schemas.
 
+New statements of the specification get their numbers.
+
 A part of a page is between two comments; the text after the colon names the part:
 
     <!-- generated: roles gaussian-generator -->
@@ -27,6 +29,8 @@ from docs_parts import (
     rooms,
     rules,
     runs,
+    statements,
+    thresholds,
     viewer_kit,
 )
 
@@ -105,7 +109,9 @@ def generated() -> dict[Path, str]:
     """Return the current content of every file that is generated, wholly or in part."""
     registry = rules.ours()
     pages = {
-        DOCS / "rules" / f"{rule.id}.md": page(rule, registry, example_model_of_rule(rule.id))
+        DOCS / "rules" / f"{rule.id}.md": (
+            page(rule, registry, example_model_of_rule(rule.id)) + thresholds.section(rule)
+        )
         for rule in registry.rules.values()
     }
     for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):
@@ -125,9 +131,11 @@ def generated() -> dict[Path, str]:
     for name, document in {**schemas(), REPORT_SCHEMA_FILE: schema()}.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         pages[ROOT / "contract/gsgen/contract/schemas" / name] = text
+    statement_pages = statements.pages(DOCS / "spec")
     for path in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))):
-        if path not in pages and "<!-- generated: " in path.read_text("utf-8"):
-            pages[path] = fill(path.read_text("utf-8"))
+        text = statement_pages.get(path, path.read_text("utf-8"))
+        if path not in pages and (path in statement_pages or "<!-- generated: " in text):
+            pages[path] = fill(text)
     return pages
 
 

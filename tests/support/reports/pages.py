@@ -54,10 +54,10 @@ def links(page: Path) -> list[str]:
 
 
 def anchors(page: Path) -> set[str]:
-    """Return the anchors of a page's headings, as the site and GitHub make them."""
+    """Return the anchors of a page: of its headings, as the site and GitHub make them, and its own."""
     text = _FENCED.sub("", page.read_text("utf-8"))
     headings = re.findall(r"^#{1,6} +(.+?)\s*$", text, re.MULTILINE)
-    return {_slug(heading) for heading in headings}
+    return {_slug(heading) for heading in headings} | set(re.findall(r'<a id="([^"]+)"', text))
 
 
 def _slug(heading: str) -> str:

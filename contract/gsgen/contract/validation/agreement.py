@@ -44,7 +44,7 @@ from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_su
 from gsgen.contract.validation.report import Tolerance
 
 DIRECTION_COUNT: Final = 64
-"""Directions from which spherical harmonics are seen (statement 6)."""
+"""Directions from which spherical harmonics are seen (statement A8)."""
 
 ROWS_PER_BLOCK: Final = 8192
 """Rows compared at a time: copies of all rows would take several times their memory."""
@@ -86,11 +86,11 @@ class Allowance:
     roundings: int = 2
 
     def relative(self, dtype: np.dtype) -> float:
-        """Return the relative error that rounding to a dtype may cause (statement 8)."""
+        """Return the relative error that rounding to a dtype may cause (statement A10)."""
         return self.roundings * (_ROUNDING[dtype.name] + _ARITHMETIC_EPSILON)
 
     def absolute(self, dtype: np.dtype) -> float:
-        """Return the error that rounding to a dtype may cause near zero (statement 8)."""
+        """Return the error that rounding to a dtype may cause near zero (statement A10)."""
         return self.roundings * 2 * _SUBNORMAL_STEP[dtype.name]
 
 
@@ -131,7 +131,7 @@ def live_cells(count: int, rows: int, cells: int) -> int:
 def drawn_cells(
     opacity: Float[np.ndarray, " n"], count: int, visibility: Float[np.ndarray, " c"]
 ) -> Bool[np.ndarray, " c"]:
-    """Return the mask of the cells that show a Gaussian (statement 3); NaN counts as shown."""
+    """Return the mask of the cells that show a Gaussian (statement A5); NaN counts as shown."""
     live = np.where(np.arange(len(opacity)) < count, opacity, 0.0)
     largest = live.reshape(len(visibility), -1).max(axis=1).astype(np.float64)
     return np.asarray(~(largest * visibility < CULL_OPACITY))
@@ -183,7 +183,7 @@ def _ellipsoid_errors(
 def excess_of(
     error: Float[np.ndarray, " n"], allowed: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return errors as multiples of the allowed errors; NaN becomes infinite (statement 7)."""
+    """Return errors as multiples of the allowed errors; NaN becomes infinite (statement A9)."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = np.divide(error, allowed, out=np.zeros_like(error), where=error != 0)
     ratio[np.isnan(ratio)] = np.inf
@@ -272,7 +272,7 @@ def _require_both_arrays_or_none(
 
 @cache
 def view_directions() -> Float[np.ndarray, "64 3"]:
-    """Return 64 unit vectors spread evenly over the sphere, a Fibonacci lattice (statement 6)."""
+    """Return 64 unit vectors spread evenly over the sphere, a Fibonacci lattice (statement A8)."""
     index = np.arange(DIRECTION_COUNT) + 0.5
     z = 1 - 2 * index / DIRECTION_COUNT
     angle = np.pi * (1 + np.sqrt(5)) * index
