@@ -32,10 +32,22 @@ from gsgen.contract.validator import validate
 def test_a_frame_is_shown_from_its_moment_on(low, length, frames, loop, data):
     entry = Input(name="t", role="time", range=(low, low + length), frames=frames, loop=loop)
     frame = data.draw(st.integers(0, frames - 1))
-    assert entry.frame_at(entry.time_of_frame(frame)) == frame
-    middle = (entry.time_of_frame(frame) + entry.time_of_frame(frame + 1)) / 2
-    assert entry.frame_at(middle) == frame
+    starts = np.array([entry.time_of_frame(each) for each in range(frames)], np.float32)
+    last = int(np.flatnonzero(starts == starts[frame])[-1])  # float32 may not tell frames apart
+    assert entry.frame_at(entry.time_of_frame(frame)) == last
+    assert entry.frame_at(float(starts[frame])) == last
+    before = np.nextafter(starts[frame], np.float32(-np.inf))
+    if frame > 0 and starts[frame - 1] < starts[frame]:
+        assert entry.frame_at(float(before)) == int(np.flatnonzero(starts <= before)[-1])
     assert entry.frame_at(low + length) == (0 if loop else frames - 1)
+
+
+@pytest.mark.parametrize("frames", [7, 24, 60, 120, 5000])
+@pytest.mark.parametrize("ends", [(0.0, 1.0), (0.0, 12.5), (100.0, 101.0), (-0.3, 0.7)])
+def test_float32_times_of_frames_show_their_frames(ends, frames):
+    entry = Input(name="t", role="time", range=ends, frames=frames)
+    times = [float(np.float32(entry.time_of_frame(frame))) for frame in range(frames)]
+    assert [entry.frame_at(time) for time in times] == list(range(frames))
 
 
 @pytest.mark.parametrize("changes", [{"frames": None}, {"range": None}, {"role": "control"}])

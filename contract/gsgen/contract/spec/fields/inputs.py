@@ -2,16 +2,15 @@
 
 __all__ = ["Input", "Joint"]
 
-import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Annotated, Literal
+
+import numpy as np
 
 from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.roles import PICTURE_ROLES
 from gsgen.contract.spec.fields.values import Name, Positive, PositiveFloat, RoleName
-
-# The rounding error of a time, as a share of a frame.
-_FRAME_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +81,18 @@ class Input:
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the index of the frame at a time; beyond the range, loops wrap, others clamp."""
+        """Return the index of the frame at a time; beyond the range, loops wrap, others clamp.
+
+        It is the last one that has begun, in float32, the dtype in which a model gets its time.
+        """
         low, high, count = self._frames()
-        frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
-        return frame % count if self.loop else min(max(frame, 0), count - 1)
+        time, start, end = (float(np.float32(value)) for value in (time, low, high))
+        if self.loop and not start <= time < end:
+            time = start + (time - start) % (end - start)
+        begun = bisect_right(
+            range(count), time, key=lambda frame: float(np.float32(self.time_of_frame(frame)))
+        )
+        return max(begun - 1, 0)
 
     def _frames(self) -> tuple[float, float, int]:
         if self.role != "time" or self.range is None or self.frames is None:
