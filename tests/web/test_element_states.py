@@ -371,6 +371,23 @@ def test_progress_stays_within_its_total(page: Any, site: WebSite) -> None:
     assert results[0][-1][1] == len(body)
 
 
+def test_each_whole_number_lasts_as_long(page: Any) -> None:
+    shown, set_to = page.evaluate(
+        """async () => {
+          const { Playback } = await import("/client/playback.js");
+          const playback = new Playback({ low: 2, high: 5, seconds: 4, loop: true, isWhole: true });
+          const shown = [0, 0.99, 1, 1.99, 2, 3, 3.99, 4].map((seconds) => {
+            playback.currentTime = seconds;
+            return playback.value;
+          });
+          playback.value = 4;
+          return [shown, [playback.currentTime, playback.value]];
+        }"""
+    )
+    assert shown == [2, 2, 3, 3, 4, 5, 5, 5]
+    assert set_to == [2, 4]
+
+
 def test_media_properties_work_before_and_after_loading(page: Any) -> None:
     """As those of `<video>` do; the model is a knot that is given a time."""
     result = page.evaluate(

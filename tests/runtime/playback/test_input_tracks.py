@@ -10,6 +10,7 @@ from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.playback.input_tracks import Track, input_track
 from gsgen.runtime.playback.timeline import Timeline
+from gsgen.runtime.sources.key_frames import Animation, Span
 from gsgen.runtime.sources.source import named
 
 
@@ -28,7 +29,7 @@ class AnimatedInputs:
             "pose": Input(name="pose", role="pose"),
         }
         self.inputs = tuple(declared[name] for name in shapes)
-        self.animation = None
+        self.animation: Animation | None = None
 
     def named(self, word: str) -> list[Input]:
         return named(self.inputs, word)
@@ -153,3 +154,11 @@ def test_sweeps_of_indices_are_integers() -> None:
     assert score.is_animated
     half = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0.5")])
     assert fed(half, "frame", 1) == [[0.5]]  # which the model then refuses
+
+
+def test_on_a_timeline_each_frame_number_lasts_as_long_as_the_others() -> None:
+    model = AnimatedInputs(frame=(1,))
+    model.animation = Animation(Span(seconds=3.0, loop=True))
+    assert fed(Timeline([model], []), "frame", 9) == [2, 2, 2, 3, 3, 3, 4, 4, 4]
+    model.animation = Animation(Span(seconds=3.0))
+    assert fed(Timeline([model], []), "frame", 4) == [2, 3, 4, 4]

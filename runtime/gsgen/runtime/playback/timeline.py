@@ -121,8 +121,10 @@ class Timeline:
         share = seconds / animation.span.seconds
         values: dict[str, object] = {}
         for spec, (low, high) in self._advancing_inputs(model):
-            value = low + (high - low) * share
-            values[spec.name] = int(min(value, high)) if spec.role == "frame_index" else value
+            if spec.role == "frame_index":  # each number lasts as long as the others
+                values[spec.name] = int(min(low + (high - low + 1) * share, high))
+            else:
+                values[spec.name] = low + (high - low) * share
         roles = {spec.name: spec.role for spec in model.inputs}
         for name, keys in animation.keys.items():
             numbers = keys.at(seconds).reshape(model.shape(name))

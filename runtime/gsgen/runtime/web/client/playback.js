@@ -2,11 +2,23 @@
 
 const LONGEST_STEP = 1; // seconds between two frames; more have passed where the page was hidden
 
+/** Return what a time input goes through: of whole numbers, each lasts as long as the others. */
+function spanOf({ low, high, isWhole = false }) {
+  return high - low + (isWhole ? 1 : 0);
+}
+
+/** Return the value of a time input at a share of its duration, from 0 to 1. */
+export function valueOfTime(time, share) {
+  const value = time.low + spanOf(time) * share;
+  return time.isWhole ? Math.min(Math.floor(value), time.high) : value;
+}
+
 /** A clock over the range of a model's time input. */
 export class Playback {
-  constructor({ low, high, seconds, loop }) {
+  constructor({ low, high, seconds, loop, isWhole = false }) {
     this.low = low;
     this.high = high;
+    this.isWhole = isWhole;
     this.duration = seconds;
     this.loop = loop;
     this.loopsByItself = loop;
@@ -27,11 +39,11 @@ export class Playback {
 
   /** The value of the time input. */
   get value() {
-    return this.low + (this.high - this.low) * (this.currentTime / this.duration);
+    return valueOfTime(this, this.currentTime / this.duration);
   }
 
   set value(value) {
-    this.currentTime = ((value - this.low) / (this.high - this.low || 1)) * this.duration;
+    this.currentTime = ((value - this.low) / (spanOf(this) || 1)) * this.duration;
   }
 
   /** Whether it plays towards an end that it has reached. */

@@ -9,6 +9,7 @@ import { isKeyed, valueAt } from "./key_frames.js";
 import { IDENTITY, composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
 import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
+import { valueOfTime } from "./playback.js";
 import { orbitOf, readScene } from "./scene_file.js";
 import { SplatBuffers } from "./splat_buffers.js";
 import { sourceFile } from "./source_files.js";
@@ -177,8 +178,7 @@ export class Stage {
   /** Return the time of a model: it goes through its range once. */
   _ownTime({ time }, seconds) {
     if (!time || !this.time) return {};
-    const value = time.low + (time.high - time.low) * (seconds / this.time.seconds);
-    return { [time.name]: time.isWhole ? Math.min(Math.floor(value), time.high) : value };
+    return { [time.name]: valueOfTime(time, seconds / this.time.seconds) };
   }
 
   /** Give all sets their places; return whether there are others than before. */
