@@ -12,6 +12,7 @@ from PIL import Image
 from gsgen.cli.commands.drawing.opening import open_scenes, read_scene_files
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
+from gsgen.formats.shared.notices import FormatWarning
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player
@@ -132,6 +133,30 @@ def test_moved_model_equals_inversely_moved_camera(renderer: Renderer) -> None:
     mirrored = local_camera(here, np.diag([-2.0, 2, 2, 1]))
     assert isinstance(mirrored, Camera)
     assert mirrored.near == pytest.approx(here.near / 2)
+
+
+def test_what_pages_alone_draw_is_named(folder: Path) -> None:
+    path = saved(
+        folder,
+        models=["a.npz", {"path": "b.npz", "visible": False}],
+        meshes=[
+            {"path": "ball.ply", "animation": 0, "opacity_scale": 0.5},
+            "walk.fbx",
+            {"path": "hidden.fbx", "visible": False},
+        ],
+        annotations=[{"position": [0, 0, 0], "text": "here"}],
+    )
+    with pytest.warns(FormatWarning) as warned:
+        sources = open_scene(path)
+    assert [Path(source.name).name for source in sources] == ["a.npz", "ball.ply"]
+    assert [str(warning.message).rpartition("not used: ")[2] for warning in warned] == [
+        "its animation, which pages alone draw, its opacity, which pages alone draw",
+        "the FBX file, which pages alone draw",
+        "annotations, which pages alone show",
+    ]
+    path = saved(folder, models=[{"path": "a.npz", "visible": False}])
+    with pytest.raises(SceneInvalid, match="nothing of the scene is drawn here"):
+        open_scene(path)
 
 
 def test_options_override_the_view_of_the_file(folder: Path) -> None:

@@ -47,6 +47,7 @@ def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
           while (tilesets.some(({ loading }) => loading)) await new Promise((resolve) => setTimeout(resolve, 20));
           await shown.model.update({}, camera);
         } while (tilesets.some(({ loading }) => loading));
+        shown.isStale = true; // the models were updated without the time
         await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
         return renderer.readImage("color");
       });

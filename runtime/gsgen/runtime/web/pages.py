@@ -2,10 +2,11 @@
 
 __all__ = [
     "ModelView",
+    "PageFile",
     "client_file",
     "client_names",
+    "files_shown",
     "model_bytes",
-    "models_shown",
     "scene_bytes",
     "served_page",
     "single_file_page",
@@ -22,7 +23,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final, final
 
-from gsgen.contract._safe_text import for_html, for_shell
+from gsgen.contract._safe_text import for_html
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.contract.process.drafts import temporary_folder
@@ -33,6 +34,8 @@ from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
+from gsgen.runtime.web.mesh_bytes import mesh_bytes
+from gsgen.runtime.web.three_js import import_map, inlined_modules
 
 _CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
 _MODULE_PREFIX: Final = "gsgen/"
@@ -118,12 +121,9 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
             open_model(path)  # which names a file of another kind
             return path.read_bytes()
         if is_mesh(path):
-            hint = f"`gsgen render {for_shell(str(path))} -o picture.png` draws it."
-            raise SceneUnreadable(
-                "is a mesh, expected splats or a generator: pages draw no meshes",
-                where=str(path),
-                hint=hint,
-            )
+            hint = 'Name it in "meshes" of a scene file, which pages draw.'
+            message = "is a mesh, expected splats or a generator"
+            raise SceneUnreadable(message, where=str(path), hint=hint)
         content = read(path, drop_invalid=True)
         raw = path.read_bytes() if path.is_file() else b""  # else a folder, or standard input
     except (OSError, FormatError) as error:
@@ -142,45 +142,63 @@ def model_bytes(path: Path, read: SplatReader = open_splats) -> bytes:
         return target.read_bytes()
 
 
-def models_shown(paths: Iterable[Path]) -> list[Path]:
-    """Return the files of models that a page of files shows: those of scene files, and the others.
+@final
+@dataclass(frozen=True, slots=True)
+class PageFile:
+    """A file that a page shows.
+
+    Attributes:
+        path: The file.
+        is_mesh: Whether three.js reads it, as a mesh of a scene file.
+    """
+
+    path: Path
+    is_mesh: bool = False
+
+    def content(self, read: SplatReader = open_splats) -> bytes:
+        """Return the file's bytes for a web page; see :func:`model_bytes` and ``mesh_bytes``."""
+        return mesh_bytes(self.path) if self.is_mesh else model_bytes(self.path, read)
+
+
+def files_shown(paths: Iterable[Path]) -> list[PageFile]:
+    """Return the files that a page shows: those of scene files, models first, and the others.
 
     Raises:
         SceneUnreadable: A scene file cannot be read.
-        GsgenError: A scene file is invalid, or names meshes alone.
+        GsgenError: A scene file is invalid.
     """
-    models: list[Path] = []
+    shown: list[PageFile] = []
     for path in paths:
-        if not is_scene_file(path):
-            models.append(path)
-            continue
-        own_models = [model.path for model in read_scene(path).models]
-        if not own_models:
-            hint = f"`gsgen render {for_shell(str(path))} -o picture.png` draws it."
-            message = "has no models: pages draw no meshes"
-            raise SceneUnreadable(message, where=str(path), hint=hint)
-        models += own_models
-    return models
+        if is_scene_file(path):
+            scene = read_scene(path)
+            shown += [PageFile(model.path) for model in scene.models]
+            shown += [PageFile(mesh.path, is_mesh=True) for mesh in scene.meshes]
+        else:
+            shown.append(PageFile(path))
+    return shown
 
 
 def scene_bytes(path: Path, addresses: Sequence[str]) -> bytes:
-    """Return a scene file whose models have other addresses, one for each."""
+    """Return a scene file whose models and meshes have other addresses, one for each."""
     document = json.loads(path.read_text("utf-8"))
-    document["models"] = [
-        {**(model if isinstance(model, dict) else {}), "path": address}
-        for model, address in zip(document["models"], addresses, strict=True)
-    ]
+    remaining = iter(addresses)
+    for field in ("models", "meshes"):
+        document[field] = [
+            {**(part if isinstance(part, dict) else {}), "path": next(remaining)}
+            for part in document.get(field) or []
+        ]
     return json.dumps(document).encode()
 
 
-def served_page(models: Mapping[str, Path], view: ModelView) -> str:
-    """Return the HTML page that shows the models at the given addresses of a server."""
+def served_page(models: Mapping[str, Path], view: ModelView, three: str | None = None) -> str:
+    """Return the HTML page that shows the models at the given addresses of a server.
+
+    ``three`` is the address of three.js's folder, with a slash at its end.
+    """
     figures_html = [_figure_html(address, path, view) for address, path in models.items()]
-    module = _module_of(models.values())
-    script = f'<script type="module" src="/gsgen/{module}"></script>'
-    return _page_html(
-        [path.name for path in models.values()], [script], figures_html, _RELOAD_SCRIPT
-    )
+    head = [] if three is None else [_import_map_html(import_map(three))]
+    head.append(f'<script type="module" src="/gsgen/{_module_of(models.values())}"></script>')
+    return _page_html([path.name for path in models.values()], head, figures_html, _RELOAD_SCRIPT)
 
 
 _RELOAD_SCRIPT: Final = """
@@ -202,7 +220,11 @@ for (;;) {
 
 
 def single_file_page(
-    paths: Iterable[Path], view: ModelView, ort: Path | None, read: SplatReader = open_splats
+    paths: Iterable[Path],
+    view: ModelView,
+    ort: Path | None,
+    read: SplatReader = open_splats,
+    three: Path | None = None,
 ) -> str:
     """Return an HTML page that opens from disk: it embeds the models and the browser client.
 
@@ -211,12 +233,14 @@ def single_file_page(
         view: How they are shown.
         ort: Folder of ONNX Runtime Web, for generators.
         read: Reads files of splats.
+        three: Folder of three.js, for meshes, and for browsers without WebGPU.
 
     Raises:
         SceneUnreadable: A model cannot be read.
     """
     models = list(paths)
-    head = [f'<script type="importmap">{json.dumps({"imports": _inlined_modules()})}</script>']
+    modules = _inlined_modules() | ({} if three is None else inlined_modules(three))
+    head = [_import_map_html(modules)]
     head.append(_inline_script("gsgen-plans", client_file("plans.json")))
     if ort is not None:
         # The build for all browsers: which one opens the page is not known.
@@ -227,8 +251,8 @@ def single_file_page(
         if not is_scene_file(path):
             head.append(_inline_script(f"model-{i}", model_bytes(path, read)))
             continue
-        parts = {f"model-{i}-{k}": part for k, part in enumerate(models_shown([path]))}
-        head += [_inline_script(name, model_bytes(part, read)) for name, part in parts.items()]
+        parts = {f"model-{i}-{k}": part for k, part in enumerate(files_shown([path]))}
+        head += [_inline_script(name, part.content(read)) for name, part in parts.items()]
         head.append(_inline_script(f"model-{i}", scene_bytes(path, [f"#{name}" for name in parts])))
     figures_html = [_figure_html(f"#model-{i}", path, view) for i, path in enumerate(models)]
     start = f'<script type="module">import "gsgen/{_module_of(models)}";</script>'
@@ -246,6 +270,10 @@ def _inlined_modules() -> dict[str, str]:
             encoded = base64.b64encode(text.encode()).decode()
             modules[_MODULE_PREFIX + name] = f"data:text/javascript;base64,{encoded}"
     return modules
+
+
+def _import_map_html(imports: Mapping[str, str]) -> str:
+    return f'<script type="importmap">{json.dumps({"imports": imports})}</script>'
 
 
 def _module_of(paths: Iterable[Path]) -> str:

@@ -17,14 +17,15 @@ from gsgen.runtime.web.local_server import LocalHandler, LocalServer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from gsgen.runtime.web.pages import (
     ModelView,
+    PageFile,
     SplatReader,
     client_file,
     client_names,
-    model_bytes,
-    models_shown,
+    files_shown,
     scene_bytes,
     served_page,
 )
+from gsgen.runtime.web.three_js import THREE
 
 _MIME_TYPES: Final = {
     ".js": "text/javascript",
@@ -45,6 +46,7 @@ class ModelServer(LocalServer):
         models: Files of the models, and scene files.
         view: How they are shown.
         ort: Folder of ONNX Runtime Web; None without generators.
+        three: Folder of three.js; None without meshes.
         port: Port; 0 takes one that is free.
         read: Reads files of splats.
         images: Pictures that generators are computed from.
@@ -56,6 +58,7 @@ class ModelServer(LocalServer):
         view: ModelView,
         *,
         ort: Path | None,
+        three: Path | None = None,
         port: int = 0,
         read: SplatReader = open_splats,
         images: Sequence[Path] = (),
@@ -65,26 +68,28 @@ class ModelServer(LocalServer):
         addresses = {quote(address): path for address, path in self._models.items()}
         pictures = {f"/pictures/{number}/{path.name}": path for number, path in enumerate(images)}
         view = replace(view, images=tuple(map(quote, pictures)))
-        page = served_page(addresses, view).encode()
+        three_address = None if three is None else "/gsgen/three/"
+        page = served_page(addresses, view, three_address).encode()
         self._content_readers: dict[str, Callable[[], ContentTypeAndBytes]] = {
             "/": lambda: ("text/html; charset=utf-8", page),
             "/versions": lambda: ("application/json", json.dumps(self._versions()).encode()),
         }
         for name in client_names():
             self._content_readers[f"/gsgen/{name}"] = partial(_client_content, name)
-        for name in ORT_FILES if ort is not None else ():
-            self._content_readers[f"/gsgen/ort/{name}"] = partial(
-                _file, ort / name if ort else Path()
-            )
+        libraries = {"ort": (ort, ORT_FILES), "three": (three, THREE.names)}
+        for library, (folder, names) in libraries.items():
+            for name in names if folder else ():
+                address = f"/gsgen/{library}/{name}"
+                self._content_readers[address] = partial(_file, (folder or Path()) / name)
         for address, path in pictures.items():
             self._content_readers[address] = partial(_file, path)
         for address, path in self._models.items():
             if not is_scene_file(path):
-                self._content_readers[address] = partial(_model_content, path, read)
+                self._content_readers[address] = partial(_model_content, PageFile(path), read)
                 continue
             parts = {
-                f"{address}/{number}/{part.name}": part
-                for number, part in enumerate(models_shown([path]))
+                f"{address}/{number}/{part.path.name}": part
+                for number, part in enumerate(files_shown([path]))
             }
             for part_address, part in parts.items():
                 self._content_readers[part_address] = partial(_model_content, part, read)
@@ -100,7 +105,8 @@ class ModelServer(LocalServer):
         versions = {}
         for address, path in self._models.items():
             if path.exists():
-                files = [path, *models_shown([path])] if is_scene_file(path) else [path]
+                parts = files_shown([path]) if is_scene_file(path) else []
+                files = [path, *(part.path for part in parts)]
                 versions[quote(address)] = "-".join(map(_version, files))
         return versions
 
@@ -113,9 +119,9 @@ def _version(path: Path) -> str:
     return f"{status.st_mtime_ns}-{status.st_size}"
 
 
-def _scene_content(path: Path, parts: Mapping[str, Path]) -> ContentTypeAndBytes:
+def _scene_content(path: Path, parts: Mapping[str, PageFile]) -> ContentTypeAndBytes:
     """Return a scene file; the addresses of its models change when their files change."""
-    addresses = [f"{quote(address)}?{_version(part)}" for address, part in parts.items()]
+    addresses = [f"{quote(address)}?{_version(part.path)}" for address, part in parts.items()]
     return "application/json", scene_bytes(path, addresses)
 
 
@@ -127,8 +133,8 @@ def _file(path: Path) -> ContentTypeAndBytes:
     return _MIME_TYPES.get(path.suffix, "application/octet-stream"), path.read_bytes()
 
 
-def _model_content(path: Path, read: SplatReader) -> ContentTypeAndBytes:
-    return "application/octet-stream", model_bytes(path, read)
+def _model_content(file: PageFile, read: SplatReader) -> ContentTypeAndBytes:
+    return "application/octet-stream", file.content(read)
 
 
 @final

@@ -24,6 +24,7 @@ __all__ = [
     "Scenes",
     "ShDegree",
     "Sizes",
+    "ThreeFolder",
     "TrustOption",
     "Width",
     "mode_of",
@@ -157,6 +158,15 @@ OrtFolder = Annotated[
         "--ort",
         help="Folder of ONNX Runtime Web, which computes generators in a page. "
         "[default: fetched once by npm]",
+        metavar="DIR",
+    ),
+]
+ThreeFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--three",
+        help="Folder of three.js, which draws meshes in a page, and models where a browser has no "
+        "WebGPU. [default: fetched once by npm, for meshes]",
         metavar="DIR",
     ),
 ]

@@ -102,6 +102,7 @@ def view(
     memory: options.ModelMemory = None,
     web: Web = False,
     ort: options.OrtFolder = None,
+    three: options.ThreeFolder = None,
     port: Port = 0,
     as_json: PrintJsonOption = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
@@ -121,7 +122,7 @@ def view(
     if web:
         page = _page_view(background, fov, up, time, play=play)
         read = partial(read_splats, origin=parse_origin(origin))
-        return _serve_page(scenes, page, read, ort, port, image, as_json=as_json)
+        return _serve_page(scenes, page, read, ort, three, port, image, as_json=as_json)
     symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
@@ -221,6 +222,7 @@ def _serve_page(
     model_view: "ModelView",
     read: "SplatReader",
     ort: Path | None,
+    three: Path | None,
     port: int,
     images: Sequence[str] | None,
     *,
@@ -232,8 +234,9 @@ def _serve_page(
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
     from gsgen.runtime.playback.picture_inputs import picture_files
     from gsgen.runtime.web.onnxruntime_web import ort_folder
-    from gsgen.runtime.web.pages import model_bytes, models_shown
+    from gsgen.runtime.web.pages import files_shown
     from gsgen.runtime.web.serving import ModelServer
+    from gsgen.runtime.web.three_js import THREE
 
     for path in scenes:
         if path.suffix.lower() in (".html", ".htm"):
@@ -242,14 +245,24 @@ def _serve_page(
                 where=str(path),
                 hint=f"--web serves a page; `gsgen export html SCENE -o {path.name}` writes one.",
             )
-    models = models_shown(scenes)
-    for path in models:
-        model_bytes(path, read)  # an unreadable file is an error here, not in the page alone
-    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in models)
+    files = files_shown(scenes)
+    for file in files:
+        file.content(read)  # an unreadable file is an error here, not in the page alone
+    has_generator = any(file.path.suffix.lower() == MODEL_SUFFIX for file in files)
     folder = ort_folder(ort) if has_generator else None
+    has_three = three is not None or any(file.is_mesh for file in files)
+    three_folder = THREE.located(three) if has_three else None
     pictures = picture_files(images) if images else []
     try:
-        server = ModelServer(scenes, model_view, ort=folder, port=port, read=read, images=pictures)
+        server = ModelServer(
+            scenes,
+            model_view,
+            ort=folder,
+            three=three_folder,
+            port=port,
+            read=read,
+            images=pictures,
+        )
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."
         message = f"cannot listen: {error.strerror}"

@@ -31,11 +31,13 @@ def export_html(
     ] = None,
     origin: options.Origin = "auto",
     ort: options.OrtFolder = None,
+    three: options.ThreeFolder = None,
 ) -> None:
     """Write a page that shows MODELS in a browser, in one file that opens from disk.
 
-    Splat files other than SPZ become PLY in it. ONNX Runtime Web is in it where a model is a
-    generator: 36 MB.
+    Files of splats that no page reads become PLY in it. ONNX Runtime Web is in it where a model is
+    a generator: 36 MB. three.js is in it where a scene file has meshes, and with --three, by which
+    browsers without WebGPU draw models: 6 MB.
 
     Exits 2 for wrong options, 4 if a model cannot be read.
     """
@@ -47,7 +49,8 @@ def export_html(
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.onnxruntime_web import ort_folder
-    from gsgen.runtime.web.pages import ModelView, models_shown, single_file_page
+    from gsgen.runtime.web.pages import ModelView, files_shown, single_file_page
+    from gsgen.runtime.web.three_js import THREE
 
     require_page(output, models)
     color = None if background is None else color_of(background, "--background")
@@ -58,14 +61,16 @@ def export_html(
         time=time,
     )
     try:
-        files = models_shown(models)
-        require_page(output, files)
-        has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in files)
+        files = files_shown(models)
+        require_page(output, [file.path for file in files])
+        has_generator = any(file.path.suffix.lower() == MODEL_SUFFIX for file in files)
+        has_three = three is not None or any(file.is_mesh for file in files)
         page = single_file_page(
             models,
             view,
             ort_folder(ort) if has_generator else None,
             read=partial(read_splats, origin=parse_origin(origin)),
+            three=THREE.located(three) if has_three else None,
         )
     except SceneUnreadable as error:
         echo_error(error)

@@ -1,5 +1,5 @@
 /**
- * Annotations: children of the element that stand at points of the model.
+ * Annotations: children of the element that stand at points of the model, and those of scene files.
  *
  * A child with `slot="annotation-NAME"` and `data-position="x y z"` follows its point; it is hidden
  * while the point is behind the camera, or while a `data-normal` looks away from it.
@@ -7,12 +7,13 @@
 
 import { eyeOf } from "./camera.js";
 import { dot, linearPart, plus, times } from "./matrices.js";
+import { numbersIn } from "./words.js";
 
 const PREFIX = "annotation";
 
 /** Return three numbers of a text; null of other texts. @param {string | undefined} text */
 function pointOf(text) {
-  const numbers = (text ?? "").trim().split(/\s*,\s*|\s+/).map((word) => (word ? Number(word) : NaN));
+  const numbers = numbersIn(text ?? "");
   return numbers.length === 3 && numbers.every(Number.isFinite) ? numbers : null;
 }
 
@@ -29,6 +30,8 @@ export class Annotations {
     this._complain = complain;
     /** @type {{place: HTMLElement, position: number[], normal: number[] | null}[]} */
     this._entries = [];
+    /** @type {typeof this._entries} Of the scene file. */
+    this._written = [];
     this._observer = new MutationObserver(() => {
       this.read();
       onChange();
@@ -62,14 +65,37 @@ export class Annotations {
       place.append(slot);
       return [{ place, position, normal: pointOf(normal) }];
     });
-    this._layer.replaceChildren(...this._entries.map(({ place }) => place));
-    this._layer.hidden = !this._entries.length;
+    this._arrange();
+  }
+
+  /**
+   * Show the annotations of a scene file.
+   * @param {import("./scene_file.js").SceneAnnotation[]} annotations
+   * @param {(camera: any) => void} look Called with the camera of one that is clicked.
+   */
+  write(annotations, look) {
+    this._written = annotations.map(({ position, normal, text, camera }) => {
+      const label = document.createElement(camera ? "button" : "span");
+      label.part.add("annotation");
+      label.textContent = text;
+      if (camera) label.addEventListener("click", () => look(camera));
+      const place = document.createElement("div");
+      place.append(label);
+      return { place, position, normal };
+    });
+    this._arrange();
+  }
+
+  _arrange() {
+    const places = [...this._entries, ...this._written].map(({ place }) => place);
+    this._layer.replaceChildren(...places);
+    this._layer.hidden = !places.length;
   }
 
   /** Place all for a camera. @param {import("./camera.js").Camera} camera */
   place(camera) {
     const { view, fx, fy, cx, cy, width, height, near } = camera;
-    for (const { place, position, normal } of this._entries) {
+    for (const { place, position, normal } of [...this._entries, ...this._written]) {
       const [x, y, z] = plus(times(linearPart(view), position), 1, [view[3], view[7], view[11]]);
       const looksAway = normal && dot(normal, plus(eyeOf(camera), -1, position)) < 0;
       place.hidden = !(z > near) || Boolean(looksAway);

@@ -292,6 +292,7 @@ export class GsgenModel extends ModelControls {
     if (signal.aborted) return shown.destroy();
     this._shown?.destroy();
     [this._shown, this._kept, this._failedFrames] = [shown, null, 0];
+    this._annotations.write(shown.model.annotations ?? [], (camera) => (this.orbit = camera));
     this._view.hideProgress();
     this._view.showPoster(null);
     this._view.say(`Loaded${backend.note}: ${this.getAttribute("alt") ?? name}`);

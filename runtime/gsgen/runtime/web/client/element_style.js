@@ -12,7 +12,8 @@ canvas { touch-action: pan-y; outline-offset: -3px }
 canvas:focus-visible { outline: 3px solid var(--gsgen-accent, #6cf) }
 [part=annotations] { pointer-events: none; overflow: hidden }
 [part=annotations] > div { position: absolute; top: 0; left: 0 }
-::slotted(*) { pointer-events: auto; transform: translate(-50%, -50%) }
+::slotted(*), [part=annotation] { pointer-events: auto; transform: translate(-50%, -50%) }
+[part=annotations] [part=annotation] { display: block; width: max-content; height: auto; padding: .1rem .5rem; background: #000b; color: #fff }
 [part=bar] { position: absolute; left: 0; bottom: 0; height: 3px; width: 0;
   background: var(--gsgen-accent, #6cf); transition: width .2s }
 [part=error] { position: absolute; inset: 0; margin: 0; padding: 1rem; display: grid; align-content: center;

@@ -1,14 +1,16 @@
 /**
  * Defines `<gsgen-scene>`: several models in one world, of a scene file or of its children.
  *
- * A child `<gsgen-model src>` may have `position`, `rotation` (a quaternion w x y z), `scale` and
- * `opacity`, and values of inputs in its property `inputs`.
+ * A child `<gsgen-model src>` or `<gsgen-mesh src>` may have `position`, `rotation` (a quaternion w x y
+ * z), `scale`, `opacity` and `hidden`; a model values of inputs in its property `inputs`, a mesh
+ * `shading` and `animation`.
  */
 
 import { GsgenModel } from "./gsgen.js";
 import { Stage } from "./stage.js";
+import { numbersIn } from "./words.js";
 
-/** The fields of a model in scene files by the attributes of a child, with their least numbers. */
+/** The fields of a model or mesh in scene files by the attributes of a child, with their least numbers. */
 const PLACES = {
   position: ["translate", 3],
   rotation: ["rotate", 4],
@@ -31,24 +33,29 @@ export class GsgenScene extends GsgenModel {
   }
 
   _candidates() {
-    const children = /** @type {GsgenModel[]} */ ([...this.querySelectorAll(":scope > gsgen-model[src]")]);
-    if (this.hasAttribute("src") || !children.length) return super._candidates();
-    const models = children.map((child) => this._modelOf(child));
-    return [{ source: JSON.stringify({ models, up: "-y" }), element: null }];
+    if (this.hasAttribute("src")) return super._candidates();
+    const [models, meshes] = ["gsgen-model", "gsgen-mesh"].map((tag) => {
+      const children = /** @type {GsgenModel[]} */ ([...this.querySelectorAll(`:scope > ${tag}[src]`)]);
+      return children.map((child) => this._partOf(child));
+    });
+    if (!models.length && !meshes.length) return super._candidates();
+    return [{ source: JSON.stringify({ models, meshes, up: "-y" }), element: null }];
   }
 
-  /** Return a child as a model of a scene file. */
-  _modelOf(child) {
-    const model = { path: new URL(child.getAttribute("src") ?? "", document.baseURI).href };
+  /** Return a child as a model or mesh of a scene file. */
+  _partOf(child) {
+    const part = { path: new URL(child.getAttribute("src") ?? "", document.baseURI).href };
     for (const [attribute, [field, length]] of Object.entries(PLACES)) {
       const text = child.getAttribute(attribute);
       if (text === null) continue;
-      const numbers = text.trim().split(/\s*,\s*|\s+/).map((word) => (word ? Number(word) : NaN));
+      const numbers = numbersIn(text);
       const isGood = numbers.every(Number.isFinite) && (numbers.length === length || (attribute === "scale" && numbers.length === 3));
-      if (isGood) model[field] = numbers.length === 1 ? numbers[0] : numbers;
+      if (isGood) part[field] = numbers.length === 1 ? numbers[0] : numbers;
       else this._complain(attribute, `"${text}" of a child is not ${length} numbers`);
     }
-    return child.inputs ? { ...model, inputs: { ...child.inputs } } : model;
+    for (const name of ["shading", "animation"]) if (child.hasAttribute(name)) part[name] = child.getAttribute(name);
+    if (child.hidden) part.visible = false;
+    return child.inputs ? { ...part, inputs: { ...child.inputs } } : part;
   }
 }
 

@@ -160,14 +160,17 @@ export class ShownModel {
     const [x, y] = [across * camera.width, down * camera.height];
     const pixel = /** @type {const} */ ([Math.floor(x), Math.floor(y)]);
     return this._aside(async (renderer) => {
+      const { surfaces } = this.model;
       renderer.setScene(this.model.sets);
-      await renderer.drawWhole(camera, { outputs: ["depth"], ...(await this.model.surfaces?.(camera, "depth")) });
+      await renderer.drawWhole(camera, { outputs: ["depth"], ...(await surfaces?.(camera, "depth")) });
       const [, median] = await renderer.readPixel("depth", ...pixel);
       if (!(median > 0)) return null;
+      const point = unproject(camera, x, y, median);
+      if (surfaces) return { point, normal: null }; // normals of meshes are not drawn
       await renderer.drawWhole(camera, { outputs: ["normal"] });
       const [a, b, c] = await renderer.readPixel("normal", ...pixel);
       const normal = Math.hypot(a, b, c) > 0 ? normalized(times(transposed(linearPart(camera.view)), [a, b, c])) : null;
-      return { point: unproject(camera, x, y, median), normal };
+      return { point, normal };
     });
   }
 

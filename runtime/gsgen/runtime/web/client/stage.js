@@ -109,6 +109,7 @@ export class Stage {
     this._meshes = meshes;
     /** Meshes, whose transform, opacity and visibility may be set, too. */
     this.meshes = meshes?.entries ?? [];
+    this.surfaces = meshes ? async (camera, output) => (output === "normal" ? {} : meshes.drawing(camera)) : undefined;
     this._none = new SplatBuffers(device, plans, { count: 1, channels: 3, space: "rgb" }); // frame plans have rows
     this._scene = scene;
     this._document = document;
@@ -206,11 +207,6 @@ export class Stage {
     }));
     const place = camera && orbit && !isKeyed(this._document.camera) ? { camera: `look-at:${[...eyeOf(camera), ...orbit.target]}`, fov: orbit.fieldOfView } : {};
     return { gsgen_scene: "1.0", ...this._document, models, ...(meshes.length ? { meshes } : {}), ...place };
-  }
-
-  /** Return how a renderer draws the meshes, too. @param {string} output */
-  async surfaces(camera, output) {
-    return this._meshes && output !== "normal" ? this._meshes.drawing(camera) : {};
   }
 
   destroy() {

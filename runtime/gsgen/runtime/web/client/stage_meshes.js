@@ -133,8 +133,9 @@ function shaded(three, surface, shading, opacity, isLinear) {
     shown = shown.mul(facing.mul(1 - AMBIENT).add(AMBIENT));
   }
   const material = new three.NodeMaterial();
-  material.fragmentNode = vec4(shown, float(opacity));
-  material.side = three.DoubleSide;
+  // Of several translucent surfaces the nearest is drawn, in whichever order they are.
+  material.fragmentNode = vec4(shown.mul(opacity), float(opacity));
+  Object.assign(material, { blending: three.NoBlending, side: three.DoubleSide });
   if (Array.isArray(mesh.material)) mesh.material[slot] = material;
   else mesh.material = material;
   if (mesh.isSkinnedMesh) mesh.frustumCulled = false; // the box is that of the rest pose

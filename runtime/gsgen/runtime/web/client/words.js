@@ -32,3 +32,8 @@ function editsBetween(first, second) {
 export function written(value) {
   return typeof value === "number" ? String(value) : (JSON.stringify(value) ?? String(value));
 }
+
+/** Return the numbers of a text, between commas or spaces; NaN stands for other words. @param {string} text */
+export function numbersIn(text) {
+  return text.trim().split(/\s*,\s*|\s+/).map((word) => (word ? Number(word) : NaN));
+}
