@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Fetch what tests need besides Python packages, into .venv, or into the system as root.
 #
-# usage: scripts/fetch.sh [drivers] [swiftshader] [cesium] [browser] [splat-transform]
+# usage: scripts/fetch.sh [drivers] [swiftshader] [cesium] [browser] [splat-transform] [peers]
 #   drivers          Mesa's lavapipe, a software Vulkan driver, 25 or newer
 #   swiftshader      a second software Vulkan driver, which some tests draw on, too
 #   cesium           CesiumJS, and the browser that runs it: tests load tilesets there
 #   browser          what checks the browser client, the types of the wheel, and workflows
 #   splat-transform  PlayCanvas' converter, with which the benchmark of SOG compares files
+#   peers            other engines that draw splats in pages, beside which a benchmark measures ours
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export DEBIAN_FRONTEND=noninteractive
@@ -135,17 +136,27 @@ fetch_browser() {
     fetch_frameworks
 }
 
-# The packages that build pages of frameworks, by the lock file of the tests, into .venv/npm/frameworks.
-fetch_frameworks() {
-    local source=tests/support/web/frameworks folder=.venv/npm/frameworks
+# Fetch the packages of a lock file into .venv/npm/NAME.
+locked_packages() { # NAME SOURCE
+    local source=$2 folder=.venv/npm/$1
     if ! cmp -s "$source/package-lock.json" "$folder/package-lock.json"; then
-        command -v npm >/dev/null || fail "no npm, with which frameworks are fetched"
-        mkdir -p "$WORK/frameworks" .venv/npm
-        cp "$source"/package*.json "$WORK/frameworks"
-        npm ci --silent --no-audit --no-fund --ignore-scripts --prefix "$WORK/frameworks" || fail "npm ci of $source failed"
-        rm -rf "$folder" && mv "$WORK/frameworks" "$folder"
+        command -v npm >/dev/null || fail "no npm, with which $1 are fetched"
+        mkdir -p "$WORK/$1" .venv/npm
+        cp "$source"/package*.json "$WORK/$1"
+        npm ci --silent --no-audit --no-fund --ignore-scripts --prefix "$WORK/$1" || fail "npm ci of $source failed"
+        rm -rf "$folder" && mv "$WORK/$1" "$folder"
     fi
     echo "fetch: $folder"
+}
+
+fetch_peers() {
+    fetch_frameworks # whose bundler packs the pages
+    locked_packages peers tests/bench/peers
+}
+
+# The packages that build pages of frameworks.
+fetch_frameworks() {
+    locked_packages frameworks tests/support/web/frameworks
 }
 
 # With the packages that it needs.
@@ -156,7 +167,7 @@ fetch_splat_transform() {
         fail "npm install of splat-transform failed"
 }
 
-[ $# -gt 0 ] || fail "usage: $0 [drivers] [swiftshader] [cesium] [browser] [splat-transform]"
+[ $# -gt 0 ] || fail "usage: $0 [drivers] [swiftshader] [cesium] [browser] [splat-transform] [peers]"
 for part in "$@"; do
     "fetch_${part//-/_}"
 done

@@ -27,7 +27,8 @@ def package(name: str, *, needs_node: bool = False) -> Path:
         needs_node: Whether the package is run by Node.js.
     """
     folder = ROOT / ".venv/npm" / name
-    missing = [] if folder.is_dir() else [f"{name} (run scripts/fetch.sh browser)"]
+    part = "peers" if name == "peers" else "browser"
+    missing = [] if folder.is_dir() else [f"{name} (run scripts/fetch.sh {part})"]
     missing += ["node on the PATH"] if needs_node and which("node") is None else []
     if missing:
         message = f"missing: {' and '.join(missing)}"
