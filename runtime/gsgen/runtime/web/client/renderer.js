@@ -6,6 +6,8 @@ import { readBuffer, readingBuffer } from "./gpu_buffers.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
 
 const READERS = 2; // copies of the counts that may be in flight
+const FIRST_PAIRS_PER_ROW = 4; // of a splat and a tile, so that most first pictures are whole
+const MOST_FIRST_PAIRS = 1 << 22; // 64 MB
 
 /**
  * A set of Gaussians in a scene: pages, capacity, count, and what is absent here in `buffers`.
@@ -48,6 +50,8 @@ export class Renderer {
 
   setScene(sets) {
     this._sets = sets;
+    const rows = sets.reduce((sum, { buffers }) => sum + buffers.pages.reduce((all, { capacity }) => all + capacity, 0), 0);
+    this._pairs = Math.max(this._pairs, Math.min(FIRST_PAIRS_PER_ROW * rows, MOST_FIRST_PAIRS, this.plans.pairs.most));
     this._deep = false;
     this._version += 1;
   }
