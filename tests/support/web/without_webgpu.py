@@ -1,7 +1,6 @@
 """Pages of a browser without WebGPU, with three.js beside the client."""
 
 import io
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import launched, require_chromium, serving
 from support.commands import ROOT
+from support.web.guide import LINES
 from support.web.packages import package
 from support.web.pages import CLIENT, unpacked
 
@@ -29,16 +29,13 @@ WEBGL_FLAGS = (
     "--ignore-gpu-blocklist",
 )
 THREE = "three-0.187.0"
-_GUIDE = (ROOT / "docs/guides/models-in-a-page.md").read_text("utf-8")
-[IMPORT_MAP] = re.findall(
-    r'(<script type="importmap">\n.*?three/addons/.*?</script>)', _GUIDE, re.DOTALL
-)
+IMPORT_MAP = LINES["without-webgpu"]
 """The import map that the guide shows."""
 
-_STYLE = "<style>gsgen-model { display: block; width: 200px; height: 150px }</style>"
+_STYLE = "<style>gsgen-model, gsgen-scene { aspect-ratio: auto; display: block; width: 200px; height: 150px }</style>"
 
-_PICTURE = """async (value) => {
-  const element = document.querySelector("gsgen-model");
+_PICTURE = """async ([name, value]) => {
+  const element = document.querySelector(name);
   await element.ready;
   if (value !== null) element.time = value;
   const bytes = new Uint8Array(await (await element.toBlob()).arrayBuffer());
@@ -51,7 +48,7 @@ _PICTURE = """async (value) => {
 def page_of(element: str, *, has_three: bool = True) -> bytes:
     """Return a page with the client, an element, and three.js in its import map."""
     head = '<!doctype html><meta charset="utf-8">' + (IMPORT_MAP if has_three else "")
-    client = "<script type=module src=/gsgen/gsgen.js></script>"
+    client = "<script type=module src=/gsgen/scene.js></script>"
     return f"{head}{client}{_STYLE}{element}".encode()
 
 
@@ -75,9 +72,11 @@ def page_without_webgpu(contents: dict[str, bytes], ort_folder: Path) -> Iterato
         yield page, address
 
 
-def element_picture(page: Any, time: float | None = None) -> tuple[np.ndarray, Camera]:
+def element_picture(
+    page: Any, time: float | None = None, name: str = "gsgen-model"
+) -> tuple[np.ndarray, Camera]:
     """Return the picture of a page's element at a value of its time, and the camera."""
-    text, camera = page.evaluate(_PICTURE, time)
+    text, camera = page.evaluate(_PICTURE, [name, time])
     image = Image.open(io.BytesIO(unpacked(text, np.uint8).tobytes()))
     names = ("fx", "fy", "cx", "cy", "width", "height", "near")
     view = np.reshape(camera["view"], (4, 4))

@@ -113,6 +113,7 @@ class GeneratorBuffers {
 /** A generator in a page. */
 export class GeneratorModel {
   static async open(kernels, data, name, options = /** @type {{target?: string, pictures?: (Blob | string)[]}} */ ({})) {
+    if (kernels.openGenerator) return kernels.openGenerator(data, name); // without WebGPU
     const { target, pictures = [] } = options;
     const bytes = new Uint8Array(data);
     const { subject, manifest, findings } = inspectedGenerator(bytes, name, target);

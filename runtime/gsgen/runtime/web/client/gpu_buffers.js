@@ -1,19 +1,22 @@
 /** Buffers in GPU memory, and reading them back outside of a frame's path. */
 
+// Without WebGPU buffers lie in memory, whose use nobody asks.
+const { STORAGE, UNIFORM, COPY_SRC, COPY_DST, MAP_READ } = /** @type {any} */ (globalThis.GPUBufferUsage ?? {});
+
 /** Return a storage buffer of at least some bytes. @returns {GPUBuffer} */
 export function storageBuffer(device, label, bytes) {
-  const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+  const usage = STORAGE | COPY_DST | COPY_SRC;
   return device.createBuffer({ label, size: Math.max(16, Math.ceil(bytes / 16) * 16), usage });
 }
 
 /** Return a buffer of uniforms. @returns {GPUBuffer} */
 export function uniformBuffer(device, label, size) {
-  return device.createBuffer({ label, size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+  return device.createBuffer({ label, size, usage: UNIFORM | COPY_DST });
 }
 
 /** Return a buffer through which others are read. @returns {GPUBuffer} */
 export function readingBuffer(device, label, size) {
-  return device.createBuffer({ label, size, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
+  return device.createBuffer({ label, size, usage: MAP_READ | COPY_DST });
 }
 
 /**

@@ -39,6 +39,8 @@ export class KernelCache {
   constructor(device, plans) {
     this.device = device;
     this.plans = plans;
+    /** Opens generators where the device only holds buffers. @type {((data: any, name: string) => Promise<any>) | null} */
+    this.openGenerator = null;
     this._modules = new Map();
     this._layouts = new Map();
     this._pipelines = new Map();

@@ -11,7 +11,8 @@ const INLINED_PLANS = "#gsgen-plans"; // an element of pages that are one file
 /** @type {WeakMap<GPUDevice, KernelCache>} */
 const caches = new WeakMap();
 
-const sharedPlans = once(async () => {
+/** Return the plans of this page. */
+export const sharedPlans = once(async () => {
   return document.querySelector(INLINED_PLANS) ? parsedJson(inlined(INLINED_PLANS)) : loadPlans();
 });
 

@@ -57,6 +57,12 @@ export class Stage {
   static async open(kernels, document, name, options) {
     const warn = options.onWarning ?? (() => {});
     const scene = readScene(document, name, warn);
+    if (kernels.openGenerator && scene.meshes.length) {
+      const problem = "are drawn by WebGPU, which this browser lacks";
+      if (!scene.models.length) throw new GsgenError(problem, { where: "meshes" });
+      warn("meshes", problem);
+      scene.meshes = [];
+    }
     const base = new URL(options.source ?? name, globalThis.document.baseURI);
     const signal = options.signal ?? new AbortController().signal;
     const fileOf = async ({ path, where }) => {

@@ -21,18 +21,33 @@ export async function loadThree() {
   return { three, GaussianSplat };
 }
 
+/**
+ * Return the plane of a camera whose square is what covariances in its view are widened by.
+ *
+ * three.js widens by 0.3 pixels² and takes opacity for it, by which the light of a Gaussian stays
+ * √det Σ (Yu et al. 2023, "Mip-Splatting"). Elsewhere it is √det (Σ + 0.3): widened beforehand,
+ * a Gaussian has this light.
+ * @param {import("./camera.js").Camera} camera
+ * @param {readonly number[]} transform From the axes of the rows to the world.
+ */
+export function wideningPlane({ view, fx, fy }, transform) {
+  const pixel = Math.sqrt(KERNEL / (fx * fy)); // at depth 1, in world units
+  return composed(view, transform).slice(8, 12).map((part) => pixel * part);
+}
+
 /** A `GaussianSplat` of three.js that shows frames of a model. */
 export class ThreeGaussians {
   /**
    * @param {{three: any, GaussianSplat: any}} modules As `loadThree` returns them.
-   * @param {import("./frames.js").Frames} frames The model.
+   * @param {Pick<import("./frames.js").Frames, "capacity" | "channels" | "space" | "transform" | "antialias"> &
+   *     {stride?: number}} frames The model; the stride is how many numbers of appearance a row has.
    */
-  constructor({ three, GaussianSplat }, { capacity, channels, space, transform, antialias }) {
+  constructor({ three, GaussianSplat }, { capacity, channels, space, transform, antialias, stride = channels }) {
     this._transform = transform;
     /** Whether frames are filled again when the camera moves. */
     this.needsCamera = antialias === "classic";
     this._isSh = space === "sh";
-    this._channels = channels;
+    this._stride = stride;
     this._degree = this._isSh ? Math.min(Math.sqrt(channels / 3) - 1, 3) : 0;
     const geometry = new three.BufferGeometry();
     const add = (name, array, size) => geometry.setAttribute(name, new three.BufferAttribute(array, size));
@@ -60,7 +75,7 @@ export class ThreeGaussians {
    *     Mip-Splatting keep their opacity. Their frames have to be filled again when it moves.
    */
   fill({ rows, appearance, live }, camera = null) {
-    const widened = camera && this.needsCamera ? this._widening(camera) : [0, 0, 0, 0];
+    const widened = camera && this.needsCamera ? wideningPlane(camera, this._transform) : [0, 0, 0, 0];
     const { _buffers: buffers, splatGeometry } = this.object;
     const stored = [buffers.centerRead, buffers.covarianceARead, buffers.covarianceBRead, buffers.colorRead];
     // three.js replaces arrays when it first draws them by WebGL.
@@ -69,12 +84,12 @@ export class ThreeGaussians {
     const colors = new Uint8ClampedArray(words.buffer, words.byteOffset, words.byteLength);
     const positions = splatGeometry.getAttribute("position").array;
     const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-    const { _channels: channels, _isSh: isSh } = this;
+    const { _stride: stride, _isSh: isSh } = this;
     const [scale, offset] = isSh ? [255 * C0, 127.5] : [255, 0];
     let [widest, allFinite] = [0, true];
     const isColored = appearance === this._appearance && live <= this._colored;
     for (let row = 0; row < live; row++) {
-      const [from, to, color] = [10 * row, 4 * row, channels * row];
+      const [from, to, color] = [10 * row, 4 * row, stride * row];
       let isFinite = true;
       for (let number = 0; number < 10; number++) isFinite &&= Math.abs(rows[from + number]) < Infinity;
       if (!isFinite) {
@@ -117,25 +132,13 @@ export class ThreeGaussians {
     this.sort();
   }
 
-  /**
-   * Return the plane of a camera whose square is what covariances are widened by.
-   *
-   * three.js widens by 0.3 pixels² and takes opacity for it, by which the light of a Gaussian stays
-   * √det Σ (Yu et al. 2023, "Mip-Splatting"). Elsewhere it is √det (Σ + 0.3): widened beforehand,
-   * a Gaussian has this light.
-   */
-  _widening({ view, fx, fy }) {
-    const pixel = Math.sqrt(KERNEL / (fx * fy)); // at depth 1, in world units
-    return composed(view, this._transform).slice(8, 12).map((part) => pixel * part);
-  }
-
   /** Write the harmonics of a band as bytes. */
   _fillBand(band, appearance, live) {
     const attribute = this.object._buffers[`sphericalHarmonics${band}Attribute`];
     const { buffer, byteOffset, byteLength } = attribute.array;
     const bytes = new Uint8ClampedArray(buffer, byteOffset, byteLength);
     for (let row = 0; row < live; row++) {
-      const [from, to] = [this._channels * row + 3 * band * band, BAND_BYTES[band] * row];
+      const [from, to] = [this._stride * row + 3 * band * band, BAND_BYTES[band] * row];
       for (let index = 0; index < BAND_NUMBERS[band]; index++) bytes[to + index] = 128 * appearance[from + index] + 128;
     }
     return attribute;

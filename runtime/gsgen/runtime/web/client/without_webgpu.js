@@ -3,12 +3,16 @@
 import { GsgenError, failing } from "./errors.js";
 import { framesOf } from "./frames.js";
 import { SURVEY_CAMERA, surveyedValues } from "./generator_inputs.js";
-import { linearPart, times } from "./matrices.js";
-import { extentOf, mergedExtent } from "./model.js";
+import { IDENTITY, linearPart, times } from "./matrices.js";
+import { memoryDevice, numbersOf } from "./memory_device.js";
+import { arraysOf, mergeSets } from "./merged_sets.js";
+import { extentOf, mergedExtent, openModel } from "./model.js";
 import { inTurns, once } from "./once.js";
 import { OrbitCamera } from "./orbit_camera.js";
 import { Playback } from "./playback.js";
+import { sharedPlans } from "./shared.js";
 import { encodedCanvas, timeValue } from "./shown_model.js";
+import { SplatBuffers, paddedRows } from "./splat_buffers.js";
 import { ThreeGaussians, loadThree } from "./three_adapter.js";
 import { placeEye } from "./three_modules.js";
 
@@ -25,7 +29,7 @@ const sharedThree = once(
     const renderer = new modules.three.WebGPURenderer({ canvas, context, forceWebGL: true, alpha: true });
     await renderer.init();
     const maxTextureDimension2D = context.getParameter(context.MAX_TEXTURE_SIZE);
-    return { ...modules, canvas, renderer, lost, device: { limits: { maxTextureDimension2D } }, inTurn: inTurns() };
+    return { ...modules, canvas, renderer, lost, device: memoryDevice({ maxTextureDimension2D }), inTurn: inTurns() };
   },
   ({ lost }) => lost,
 );
@@ -42,52 +46,96 @@ export async function webGl2(missing) {
   } catch (error) {
     throw new GsgenError(`${missing.message}, and ${error.message}`, { hint: `${missing.hint} ${error.hint ?? ""}`.trim() });
   }
-  const show = async (bytes, name, file) => {
+  const { device } = shared;
+  const plans = await sharedPlans();
+  const openGenerator = (bytes, name) => FramesModel.open({ device, plans }, bytes, name);
+  const kernels = /** @type {any} */ ({ device, plans, openGenerator });
+  const show = async (bytes, name, file, options) => {
+    return new ModelOfThree(shared, await openModel(kernels, bytes, name, options), file);
+  };
+  return { note: " without WebGPU", lost: shared.lost, show };
+}
+
+/** A generator that runs by WebAssembly. */
+class FramesModel {
+  static async open(kernels, bytes, name) {
     const frames = await framesOf(bytes, name, { provider: "wasm" });
     if (frames.inputs.some(({ role }) => role === "image")) {
       frames.destroy();
       failing(name, "Take a browser with WebGPU.")("is computed from pictures, which needs WebGPU");
     }
-    return new ModelOfThree(shared, frames, await extentOfFrames(frames), file);
-  };
-  return { note: " without WebGPU", lost: shared.lost, show };
-}
-
-/** Return the extent of some moments. @param {import("./frames.js").Frames} frames */
-async function extentOfFrames({ time, run, transform }) {
-  const boxes = [];
-  for (const values of surveyedValues(time)) {
-    const { rows, live } = await run(values, SURVEY_CAMERA);
-    boxes.push(extentOf({ rows, count: live }));
+    const model = new FramesModel(kernels, frames);
+    await model._survey();
+    return model;
   }
-  const extent = mergedExtent(boxes);
-  return { ...extent, center: times(linearPart(transform), extent.center) }; // which mirrors axes, at most
+
+  /** @param {any} kernels @param {import("./frames.js").Frames} frames */
+  constructor({ device, plans }, frames) {
+    const { capacity: count, channels, run, destroy, ...described } = frames;
+    Object.assign(this, described);
+    this._frames = frames;
+    this._device = device;
+    this._channels = channels;
+    this.buffers = new SplatBuffers(device, plans, { ...frames, count });
+    this.sets = [{ buffers: this.buffers, transform: frames.transform }];
+    this.extent = { center: [0, 0, 0], half: [1, 1, 1], reach: 1 };
+    /** @type {Float32Array | null} */
+    this._appearance = null;
+  }
+
+  /** Compute the Gaussians of a frame. */
+  async update(values, camera) {
+    const { buffers, _device: { queue } } = this;
+    const { rows, appearance, live } = await this._frames.run(values, camera);
+    const write = (buffer, { buffer: bytes, byteOffset, byteLength }) => queue.writeBuffer(buffer, 0, bytes, byteOffset, byteLength);
+    const [page] = buffers.pages;
+    write(page.rows, rows);
+    if (appearance !== this._appearance) write(page.appearance, paddedRows(appearance, this._channels, buffers.stride));
+    this._appearance = appearance;
+    buffers.count = live;
+    return false;
+  }
+
+  /** Run some moments, and find a box around the Gaussians of all. */
+  async _survey() {
+    const boxes = [];
+    for (const values of surveyedValues(this._frames.time)) {
+      await this.update(values, SURVEY_CAMERA);
+      boxes.push(extentOf({ rows: numbersOf(this.buffers.pages[0].rows), count: this.buffers.count }));
+    }
+    const extent = mergedExtent(boxes);
+    this.extent = { ...extent, center: times(linearPart(this._frames.transform), extent.center) }; // which mirrors axes, at most
+  }
+
+  destroy() {
+    this._frames.destroy();
+  }
 }
 
 /** A model that three.js draws; elements use it as they use a `ShownModel`. */
 class ModelOfThree {
-  /** @param {import("./frames.js").Frames} frames */
-  constructor(shared, frames, extent, file) {
+  /** @param {import("./model.js").Model} model */
+  constructor(shared, model, file) {
     const { three, device } = shared;
     this.renderedBy = "webgl2";
     this.kernels = { device };
     this.file = file;
-    const { capacity: count, colorSpace, run, destroy, ...described } = frames;
-    this.model = { ...described, extent, buffers: { count } };
-    this.playback = frames.time ? new Playback(frames.time) : null;
-    this.orbit = new OrbitCamera(extent, frames.up);
+    this.model = model;
+    this.playback = model.time ? new Playback(model.time) : null;
+    this.orbit = new OrbitCamera(model.extent, model.up);
     /** @type {import("./camera.js").Camera | null} */
     this.camera = null;
     this.isStale = true;
     this.isDestroyed = false;
     this._shared = shared;
-    this._frames = frames;
-    this._gaussians = new ThreeGaussians(shared, frames);
     this._scene = new three.Scene();
-    this._scene.add(this._gaussians.object);
     this._eye = new three.PerspectiveCamera();
-    /** @type {import("./frames.js").Frame} */
-    this._frame = { rows: new Float32Array(0), appearance: new Float32Array(0), live: 0 };
+    /** @type {ThreeGaussians | null} */
+    this._gaussians = null;
+    this._shape = ""; // of the sets that three's object was made for
+    /** @type {{rows: Float32Array, appearance: Float32Array} | null} Of several sets. */
+    this._merged = null;
+    this._seen = ""; // the camera for which colours and widths were computed
     /** @type {ImageBitmap | null} */
     this._picture = null;
   }
@@ -106,31 +154,64 @@ class ModelOfThree {
   /** Render into the shared canvas; return the camera. */
   async _render(width, height, { mode, background, inputs }) {
     if (mode !== "color") failing("mode")(`is ${mode}, expected color in a browser without WebGPU`);
-    const { model, playback, _frames: frames, _shared: { three, renderer } } = this;
+    const { model, playback, _shared: { three, renderer } } = this;
     if (this.isDestroyed) return null;
     const camera = this.orbit.camera(width, height);
-    const needsRun = this.isStale || frames.followsCamera;
-    if (needsRun) {
-      const time = playback ? { [model.time.name]: timeValue(model, playback) } : {};
-      this._frame = await frames.run({ ...time, ...inputs }, camera);
+    if (this.isStale || model.followsCamera) {
+      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
+      await model.update({ ...time, ...inputs }, camera);
       if (this.isDestroyed) return null;
-      this.isStale = false;
+      [this.isStale, this._seen] = [false, ""];
     }
-    if (needsRun || this._gaussians.needsCamera) this._gaussians.fill(this._frame, camera);
+    this._fill(camera);
     const [red, green, blue, alpha] = background;
-    const isLinear = frames.colorSpace === "linear";
+    const { isLinear } = model.buffers;
     renderer.outputColorSpace = isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace;
     const color = new three.Color().setRGB(red, green, blue, isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace);
     renderer.setClearColor(color, alpha);
     renderer.setSize(width, height, false);
     placeEye(this._eye, camera);
-    this._gaussians.sort();
+    this._gaussians?.sort();
     renderer.render(this._scene, this._eye);
     return camera;
   }
 
-  /** Only scenes have timelines of cameras. */
-  followTime() {}
+  /** Give three.js the Gaussians that a camera sees. A single set stays in its own axes, with its harmonics. */
+  _fill(camera) {
+    const { sets } = this.model;
+    const seen = JSON.stringify(camera);
+    if (seen === this._seen || !sets.length) return;
+    const [{ buffers, transform, opacityScale = 1, clip, degree = buffers.degree, antialias = buffers.antialias }] = sets;
+    const isSingle = sets.length === 1 && opacityScale === 1 && !clip;
+    const capacity = sets.reduce((sum, set) => sum + set.buffers.capacity, 0);
+    const shape = JSON.stringify([isSingle, capacity, isSingle && [degree, antialias, transform]]);
+    const isNew = shape !== this._shape;
+    if (isNew) {
+      const channels = isSingle && degree !== null ? 3 * (degree + 1) ** 2 : 3;
+      const own = { channels, space: degree === null ? "rgb" : "sh", transform, antialias, stride: buffers.stride };
+      const merged = { channels: 3, space: "rgb", transform: IDENTITY, antialias: "mip" };
+      this._gaussians?.destroy();
+      this._gaussians = new ThreeGaussians(this._shared, /** @type {any} */ ({ capacity, ...(isSingle ? own : merged) }));
+      this._scene.add(this._gaussians.object);
+      this._merged = isSingle ? null : { rows: new Float32Array(10 * capacity), appearance: new Float32Array(3 * capacity) };
+      this._shape = shape;
+    }
+    const gaussians = /** @type {ThreeGaussians} */ (this._gaussians);
+    const { _merged: merged } = this;
+    if (merged) {
+      const live = mergeSets(sets, camera, merged);
+      gaussians.fill({ rows: merged.rows, appearance: merged.appearance.subarray(), live });
+    } else if (isNew || !this._seen || gaussians.needsCamera) {
+      gaussians.fill({ ...arraysOf(sets[0]), live: buffers.count }, camera);
+    }
+    this._seen = seen;
+  }
+
+  /** Take the camera of the present time, where a timeline has cameras. */
+  followTime() {
+    const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
+    if (place) this.orbit.move(place);
+  }
 
   /** Return what shows pictures on a canvas. @param {HTMLCanvasElement} canvas */
   presenterOf(canvas) {
@@ -161,14 +242,14 @@ class ModelOfThree {
   }
 
   get boundingBox() {
-    const { center, half } = this.model.extent;
+    const { center, half = [0, 0, 0] } = this.model.extent;
     return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
   }
 
   destroy() {
     this.isDestroyed = true;
     this._picture?.close();
-    this._gaussians.destroy();
-    this._frames.destroy();
+    this._gaussians?.destroy();
+    this.model.destroy();
   }
 }
