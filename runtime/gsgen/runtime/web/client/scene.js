@@ -25,10 +25,12 @@ export class GsgenScene extends GsgenModel {
     return model instanceof Stage ? model : null;
   }
 
-  /** The scene file of what is shown, with the camera of the last frame. */
+  /** The scene file of what is shown, with the camera as it stands. */
   toJSON() {
-    const { stage, orbit, camera } = this;
-    if (!stage || !orbit || !camera) return null;
+    const { stage, orbit, _shown: shown } = this;
+    const [width, height] = this._size();
+    if (!stage || !orbit || !shown) return null;
+    const camera = width && height ? shown.orbit.camera(width, height) : (shown.camera ?? undefined);
     return { ...stage.toJSON(camera, orbit), background: this._look().background };
   }
 
