@@ -139,6 +139,14 @@ def works_on_images(plugin: Plugin) -> bool:
     return "image" in plugin.inputs and demo_of(plugin).pictures is None
 
 
+def enlargement(model: Path) -> int:
+    """Return how many times as wide and high as its image the result of a post-process model is."""
+    from gsgen.runtime import PostProcessor
+
+    with PostProcessor(model) as processor:
+        return processor.scale
+
+
 def frame_time(model: Path) -> float:
     """Return milliseconds of a frame on the CPU, the median of five."""
     from gsgen.sdk.binding import FrameSession
@@ -169,7 +177,8 @@ def draw(plugin: Plugin, model: Path, folder: Path, log: Path) -> tuple[Path | N
     if demo.pictures is not None:
         options += ["--image", ",".join(map(str, demo.pictures(folder)))]
     try:
-        pictures = frames(scene, options, folder / "frames", log)
+        pixel = enlargement(model) if works_on_images(plugin) else 1
+        pictures = frames(scene, options, folder / "frames", log, pixel)
         if demo.degrade_image is not None:
             degraded = [demo.degrade_image(picture) for picture in pictures]
             pictures = alternating(degraded, [processed(model, image) for image in degraded])
@@ -187,10 +196,12 @@ class NoAdapterError(RuntimeError):
     """There is neither a GPU nor a software driver to draw with."""
 
 
-def frames(scene: str, options: list[str], folder: Path, log: Path) -> list[np.ndarray]:
-    """Draw a scene with ``gsgen render``, and return the pictures."""
+def frames(
+    scene: str, options: list[str], folder: Path, log: Path, pixel: int = 1
+) -> list[np.ndarray]:
+    """Draw a scene with ``gsgen render``, and return the pictures; ``pixel`` is a pixel's side."""
     shutil.rmtree(folder, ignore_errors=True)
-    size = ["--width", str(TILE[0]), "--height", str(TILE[1])]
+    size = ["--width", str(TILE[0] // pixel), "--height", str(TILE[1] // pixel)]
     words = ("render", scene, "-o", str(folder), *size, *options)
     code, _, stderr = gsgen(log, *words)
     if code and "adapter" in stderr:
@@ -198,7 +209,8 @@ def frames(scene: str, options: list[str], folder: Path, log: Path) -> list[np.n
     if code:
         raise RuntimeError(f"gsgen {shlex.join(words)} ended with {code}\n{stderr}")
     paths = sorted(folder.glob("frame_*.png"))
-    return [np.asarray(Image.open(path).convert("RGB")) for path in paths]
+    pictures = [np.asarray(Image.open(path).convert("RGB")) for path in paths]
+    return [picture.repeat(pixel, axis=0).repeat(pixel, axis=1) for picture in pictures]
 
 
 def alternating(first: list[np.ndarray], second: list[np.ndarray]) -> list[np.ndarray]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         write_hexplane,
         write_sc_gs,
     )
+    from gsgen.reference_plugins.enhancers.synthetic_enhancers import write_enhancer
     from gsgen.reference_plugins.feed_forward.synthetic_feed_forward import (
         write_lgm,
         write_splatter_image,
@@ -36,11 +37,16 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
     from gsgen.reference_plugins.static.synthetic_surfels import write_surfels
+    from gsgen.reference_plugins.styles.synthetic_styles import (
+        write_adain,
+        write_anime_gan,
+        write_fast_neural_style,
+    )
     from gsgen.reference_plugins.writing.knot import torus_knot
 
 __all__ = [
-    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_anygs", "write_body",
-    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_ex4dgs", "write_gauhuman", "write_gaussian_avatar",
+    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_adain", "write_anime_gan", "write_anygs", "write_body",
+    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_enhancer", "write_ex4dgs", "write_fast_neural_style", "write_gauhuman", "write_gaussian_avatar",
     "write_hexplane", "write_lgm", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
 ]  # fmt: skip
@@ -58,6 +64,7 @@ _MODULE_BY_NAME: Final = {
     "write_deformable": "gsgen.reference_plugins.deformation.synthetic_deformations",
     "write_hexplane": "gsgen.reference_plugins.deformation.synthetic_deformations",
     "write_sc_gs": "gsgen.reference_plugins.deformation.synthetic_deformations",
+    "write_enhancer": "gsgen.reference_plugins.enhancers.synthetic_enhancers",
     "write_lgm": "gsgen.reference_plugins.feed_forward.synthetic_feed_forward",
     "write_splatter_image": "gsgen.reference_plugins.feed_forward.synthetic_feed_forward",
     "write_gaussian_avatar": "gsgen.reference_plugins.heads.synthetic_head",
@@ -72,6 +79,9 @@ _MODULE_BY_NAME: Final = {
     "write_rotor": "gsgen.reference_plugins.spacetime.synthetic_rotor",
     "write_spacetime": "gsgen.reference_plugins.spacetime.synthetic_spacetime",
     "write_surfels": "gsgen.reference_plugins.static.synthetic_surfels",
+    "write_adain": "gsgen.reference_plugins.styles.synthetic_styles",
+    "write_anime_gan": "gsgen.reference_plugins.styles.synthetic_styles",
+    "write_fast_neural_style": "gsgen.reference_plugins.styles.synthetic_styles",
     "torus_knot": "gsgen.reference_plugins.writing.knot",
 }
 

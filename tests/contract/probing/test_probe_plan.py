@@ -101,6 +101,24 @@ def test_sizes_that_the_graph_leaves_open_come_from_the_manifest(
     if not dims:
         proto.graph.input[0].type.tensor_type.ClearField("shape")
     plan = make_plan(subject_of(proto, enhancer(declared)), Level.VALUES)
-    shapes = {probe.inputs["image"].shape for probe in plan.probes}
+    shapes = {probe.inputs["image"].shape for probe in plan.probes[: plan.values]}
     assert shapes == {probed}
+
+
+@pytest.mark.parametrize(
+    ("dims", "declared", "odd"),
+    [
+        ("[1, 3, H, W]", None, [(1, 3, 37, 53)]),
+        ("[1, 3, N, N]", None, [(1, 3, 53, 53)]),
+        ("[1, 3, 16, W]", None, [(1, 3, 16, 53)]),
+        ("[1, 3, H, W]", (1, 3, 32, 48), []),
+        ("[1, 3, 8, 8]", None, []),
+    ],
+)
+@pytest.mark.parametrize("level", [Level.VALUES, Level.BEHAVIOUR])
+def test_models_of_open_size_run_once_at_an_odd_size(subject_of, dims, declared, odd, level):
+    proto = model(f"m (float{dims} image) => (float{dims} better) {{ better = Neg (image) }}")
+    plan = make_plan(subject_of(proto, enhancer(declared)), level)
+    assert [plan.probes[index].inputs["image"].shape for index in plan.trials["sizes"]] == odd
+    assert plan.trials["sizes"] == tuple(range(plan.values, plan.values + len(odd)))
     assert all(probe.inputs["image"].dtype == np.float32 for probe in plan.probes)

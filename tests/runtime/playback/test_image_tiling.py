@@ -71,6 +71,16 @@ def test_constant_output_stays_constant_for_any_image() -> None:
     np.testing.assert_array_equal(result, np.float32(0.3))
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_network_that_repeats_pixels_gives_the_image_with_repeated_pixels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tile, scale = (int(rng.integers(1, 20)), int(rng.integers(1, 20))), int(rng.integers(2, 5))
+    overlap = int(rng.integers(0, (min(tile) - 1) // 2 + 1))
+    image = rng.normal(size=(1, 3, *rng.integers(1, 50, 2))).astype(np.float32)
+    result = run_tiled(image, lambda part: np.kron(part, np.ones((scale, scale))), tile, overlap)
+    np.testing.assert_allclose(result, np.kron(image, np.ones((scale, scale))), rtol=1e-12)
+
+
 def test_a_step_between_tiles_becomes_a_ramp() -> None:
     values = iter((0.0, 1.0))
     result = run_tiled(
@@ -98,8 +108,13 @@ def test_overlaps_that_do_not_fit_are_refused(overlap: int) -> None:
 
 
 def test_a_network_of_another_size_is_refused() -> None:
+    image = np.zeros((1, 3, 20, 20))
     with pytest.raises(ConfigInvalid, match=r"returned \[1, 3, 8, 16\]"):
-        run_tiled(np.zeros((1, 3, 20, 20)), lambda part: part[:, :, ::2], (16, 16), 2)
+        run_tiled(image, lambda part: part[:, :, ::2], (16, 16), 2)
+    with pytest.raises(ConfigInvalid, match=r"returned \[1, 3, 32, 16\]"):
+        run_tiled(image, lambda part: part.repeat(2, axis=2), (16, 16), 2)
+    with pytest.raises(ConfigInvalid, match=r"returned \[3\]"):
+        run_tiled(image, lambda part: part[0, :, 0, 0], (16, 16), 2)
 
 
 class Session:

@@ -8,7 +8,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.arrays import f32
-from gsgen.conformance.fixtures.builders.images import darken
+from gsgen.conformance.fixtures.builders.images import darken, enlarge
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessOutputs
@@ -177,3 +177,85 @@ def test_player_runs_post_process_models_in_order(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(original, 0.5), atol=1e-6)
     with pytest.raises(ConfigInvalid, match="works on colours, but the output is depth"):
         GeneratorPlayer(scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",))
+
+
+def repeated(image: np.ndarray, scale: int) -> np.ndarray:
+    return image.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+@pytest.mark.parametrize(
+    "size", [("8,12", "16,24"), ("height,width", "twice_height,twice_width"), ("40,50", "80,100")]
+)
+def test_an_enlarging_model_repeats_pixels_and_interpolates_alpha(
+    tmp_path: Path, size: tuple[str, str]
+) -> None:
+    shown = frame()
+    with PostProcessor(write(tmp_path, enlarge(*size))) as model:
+        assert model.scale == 2
+        result = model(shown)
+    alpha = result.rgba[..., 3:]
+    expected = repeated(0.5 * straight(shown), 2) * alpha
+    np.testing.assert_allclose(result.rgba[..., :3], expected, atol=2e-6)
+    assert result.alpha.shape == (2 * HEIGHT, 2 * WIDTH)
+    # Between pixel centres alpha is linear: three quarters of the pixel, a quarter of the next.
+    padded = np.pad(shown.alpha.astype(np.float64), 1, mode="edge")
+    rows = np.stack([0.25 * padded[:-2] + 0.75 * padded[1:-1], 0.75 * padded[1:-1] + 0.25 * padded[2:]], 1)  # fmt: skip
+    rows = rows.reshape(2 * HEIGHT, -1)
+    both = np.stack([0.25 * rows[:, :-2] + 0.75 * rows[:, 1:-1], 0.75 * rows[:, 1:-1] + 0.25 * rows[:, 2:]], 2)  # fmt: skip
+    np.testing.assert_allclose(result.alpha, both.reshape(2 * HEIGHT, 2 * WIDTH), atol=1e-6)
+
+
+def test_a_model_that_does_not_enlarge_as_declared_is_refused(tmp_path: Path) -> None:
+    spec = enlarge("height,width", "twice_height,twice_width")
+    outputs = PostProcessOutputs(ImageOutput("out", scale=3))
+    path = write(tmp_path, replace(spec, manifest=replace(spec.manifest, outputs=outputs)))
+    message = r"returned \[1, 3, 42, 60\] for an image of 21 × 30, expected \[1, 3 or 4, 63, 90\]"
+    with PostProcessor(path) as model, pytest.raises(SceneInvalid, match=message):
+        model(frame())
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
+def test_a_player_draws_fewer_pixels_for_models_that_enlarge(
+    tmp_path: Path, count: int, kind: str
+) -> None:
+    scene, scale = find("drift").write(tmp_path), 2**count
+    path = write(
+        tmp_path, enlarge("height,width", "twice_height,twice_width").with_weights(amount=f32(1))
+    )
+    camera = replace(Camera.orbit((0, 0, 0), 4, width=WIDTH, height=HEIGHT), kind=kind)
+    # The same pixels, drawn by a camera that is written out.
+    small_camera = replace(
+        camera,
+        fx=camera.fx / scale,
+        fy=camera.fy / scale,
+        cx=camera.cx / scale,
+        cy=camera.cy / scale,
+        width=-(-WIDTH // scale),
+        height=-(-HEIGHT // scale),
+    )
+    renderer, white = Renderer(rasteriser="tiles"), (1.0, 1.0, 1.0, 1.0)
+
+    def frames(shown_camera: Camera, *post: Path) -> list[np.ndarray]:
+        with GeneratorPlayer(
+            scene, post=post, provider="cpu", renderer=renderer, background=white
+        ) as player:
+            played = list(player.play(shown_camera, times=(0.5, 0.5)))
+            return [frame.rgba for frame in (player.render(shown_camera, time=0.5), *played)]
+
+    original = np.clip(frames(small_camera)[0], 0, 1)
+    assert original.min() < 0.9
+    expected = repeated(original, scale)[:HEIGHT, :WIDTH]
+    for result in frames(camera, *[path] * count):
+        np.testing.assert_allclose(result, expected, atol=1e-6)
+
+
+def test_a_panorama_is_drawn_in_whole_pixels(tmp_path: Path) -> None:
+    scene = find("drift").write(tmp_path)
+    path = find("post_process_enlarging_any_size").write(tmp_path)
+    with GeneratorPlayer(scene, post=[path], provider="cpu") as player:
+        assert player.render(Camera.panorama((0, 0, -4), width=64)).rgba.shape == (32, 64, 4)
+        with pytest.raises(SceneInvalid, match=r"panorama: is 65 × 32, expected multiples of 2"):
+            player.render(Camera.panorama((0, 0, -4), width=65))
+    with pytest.raises(ConfigInvalid, match="enlarges colours alone, but the outputs are color, d"):
+        GeneratorPlayer(scene, post=[path], provider="cpu", outputs=("color", "depth"))

@@ -3,7 +3,8 @@
 __all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_dtypes", "probed_shapes"]
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
@@ -11,7 +12,7 @@ from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away_pr
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.probing.survey_probes import survey_probes
 from gsgen.contract.probing.test_vectors import vector_probes
-from gsgen.contract.spec.manifest import GeneratorManifest, Input
+from gsgen.contract.spec.manifest import GeneratorManifest, Input, PostProcessManifest
 from gsgen.contract.spec.severity import Level
 
 # Budget of bytes for all distinct outputs, which are temporary files.
@@ -25,6 +26,8 @@ _MAX_VARIANTS = 2
 _MAX_ITEM_BYTES = 8
 # Size that replaces an open dimension, such as the height of an image.
 _DEFAULT_OPEN_SIZE = 64
+# Odd height and width of one more run of an image model of open size.
+_ODD_IMAGE_SIZE = (37, 53)
 # Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is unknown.
 _FETCHABLE_DTYPES = (
     *("float32", "float16", "float64", "bool", None),
@@ -63,14 +66,19 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     count = _affordable_probes(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     base = len(first) - 1 if len(first) == 1 else 1
-    probes_turned_away = tuple(turned_away_probes(manifest, first[base]))
-    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if probes_turned_away else {}
+    value_trials = {
+        "away": tuple(turned_away_probes(manifest, first[base])),
+        "sizes": tuple(_odd_size_probes(subject, shapes, dtypes, seed)),
+    }
+    trials: dict[str, tuple[int, ...]] = {}
+    probes = [*first]
+    for name, group in value_trials.items():
+        trials[name] = tuple(range(len(probes), len(probes) + len(group)))
+        probes.extend(group)
     if level < Level.BEHAVIOUR:
-        return Plan(
-            probes=(*first, *probes_turned_away), values=len(first), trials=trials, seed=seed
-        )
-    repeated_count = len(first) + len(probes_turned_away)
-    probes = [*first, *probes_turned_away, first[base], first[base]]
+        return Plan(probes=tuple(probes), values=len(first), trials=trials, seed=seed)
+    repeated_count = len(probes)
+    probes += [first[base], first[base]]
     other_probes = (first[-1], first[len(first) // 2])[: _affordable_variants(subject, count)]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
     for role, changed_probes in dependency_probes(manifest, first[base], other_probes):
@@ -136,6 +144,25 @@ def probed_bytes(subject: InspectedModel) -> int:
     """Return the size in bytes of one complete set of test inputs."""
     shapes = probed_shapes(subject).values()
     return sum(_MAX_ITEM_BYTES * math.prod(max(0, dim) for dim in shape) for shape in shapes)
+
+
+def _odd_size_probes(
+    subject: InspectedModel, shapes: dict[str, tuple[int, ...]], dtypes: dict[str, str], seed: int
+) -> Iterator[Probe]:
+    """Yield one set of inputs of an odd image size for a post-process model of open size."""
+    manifest, images = subject.manifest, subject.inputs_of("image")
+    if not isinstance(manifest, PostProcessManifest) or not images or images[0][0].shape:
+        return
+    entry, tensor = images[0]
+    shape, dims = list(shapes[entry.name]), tensor.dims or ()
+    sizes = dict(zip(dims[2:], _ODD_IMAGE_SIZE, strict=False))  # equal symbols have equal sizes
+    for axis in range(2, len(dims)):
+        if not isinstance(dims[axis], int):
+            shape[axis] = sizes.get(dims[axis], shape[axis])
+    if tuple(shape) != shapes[entry.name]:
+        odd_shapes = shapes | {entry.name: tuple(shape)}
+        probe = default_probes(manifest, odd_shapes, dtypes, seed, count=2)[-1]
+        yield replace(probe, label=f"an image of {' × '.join(map(str, shape[2:]))}")
 
 
 def _affordable_probes(subject: InspectedModel) -> int:

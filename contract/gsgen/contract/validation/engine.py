@@ -175,7 +175,7 @@ class _Validation:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
             seconds = [run.seconds for run in execution.runs]
-            first = plan.values + len(plan.trials.get("away", ()))
+            first = plan.values + sum(len(plan.trials[name]) for name in ("away", "sizes"))
             self.runs = {Level.VALUES: seconds[:first], Level.BEHAVIOUR: seconds[first:]}
             probe_runs = ProbeRuns(self.subject, execution, plan)
             for rule in prerequisite_rules:

@@ -16,7 +16,7 @@ import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.sdk import PostProcess, inputs
+from gsgen.reference_plugins.styles.style_transfer import StyleTransfer
 
 _PADDING_STRIDE = 4
 
@@ -55,15 +55,13 @@ class _ResidualBlock(nn.Module):
 
 
 @final
-class Stylise(PostProcess):
+class Stylise(StyleTransfer):
     """The style transfer network: downsampling, residual blocks, upsampling; images are 0 … 1."""
-
-    family = "stylisation"
 
     def __init__(
         self, options: StyliseOptions, size: tuple[int, int] | None, *, slider: bool = True
     ) -> None:
-        super().__init__()
+        super().__init__(size, slider=slider)
         c = options.channels
         self.down = nn.ModuleList(
             [_Block(3, c, 9), _Block(c, 2 * c, 3, 2), _Block(2 * c, 4 * c, 3, 2)]
@@ -71,16 +69,11 @@ class Stylise(PostProcess):
         self.middle = nn.ModuleList(_ResidualBlock(4 * c) for _ in range(options.blocks))
         self.up = nn.ModuleList([_Block(4 * c, 2 * c, 3), _Block(2 * c, c, 3)])
         self.last = nn.Conv2d(c, 3, 9)
-        self.size = size
-        style_share = inputs.control("style", range=(0.0, 1.0), default=1.0, label="Style")
-        self.inputs = [inputs.image(3, size), *([style_share] if slider else [])]
 
-    def forward(
-        self, image: Float[Tensor, "1 3 h w"], style: Float[Tensor, "1"] | None = None
-    ) -> Float[Tensor, "1 3 h w"]:
-        """Return the image in the style that the network was trained for."""
-        height, width = image.shape[2], image.shape[3]
-        bottom_padding, right_padding = -height % _PADDING_STRIDE, -width % _PADDING_STRIDE
+    def redraw(self, image: Float[Tensor, "1 3 h w"]) -> Float[Tensor, "1 3 H W"]:
+        """Return the redrawn image, its sides rounded up to multiples of 4."""
+        bottom_padding = -image.shape[2] % _PADDING_STRIDE
+        right_padding = -image.shape[3] % _PADDING_STRIDE
         features = 2 * image - 1
         if self.size is None or bottom_padding or right_padding:
             features = F.pad(features, (0, right_padding, 0, bottom_padding), mode="replicate")
@@ -90,8 +83,8 @@ class Stylise(PostProcess):
             features = block(features)
         for block in self.up:
             features = torch.relu(block(F.interpolate(features, scale_factor=2.0, mode="nearest")))
-        styled_image = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
-        styled_image = styled_image[:, :, :height, :width]
-        if style is None:
-            return styled_image
-        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (styled_image - image)
+        return torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
+
+    def describe(self) -> str:
+        """Return the sizes of the network in a few words."""
+        return f"width {self.last.in_channels}, {len(self.middle)} residual blocks"

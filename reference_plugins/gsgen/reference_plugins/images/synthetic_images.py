@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from gsgen.reference_plugins.images.diffusers_writer import config_of, write_network, write_schedule
 from gsgen.reference_plugins.images.handmade_weights import (
@@ -16,6 +15,7 @@ from gsgen.reference_plugins.images.handmade_weights import (
     set_outline_weights,
 )
 from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
+from gsgen.reference_plugins.writing.random_layers import add_noise
 
 _UNET_CONFIG: Mapping[str, Any] = {
     "_class_name": "UNet2DModel",
@@ -57,13 +57,13 @@ def write_denoiser(
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
     config = {**_UNET_CONFIG, **channels, **(unet or {})}
     network = unet_of(config_of(config))
-    _randomize_weights(network)
+    add_noise(network)
     if smoothing:
         set_denoising_weights(network)
     write_network(folder / "unet", config, network)
     if latent:
         autoencoder_model = autoencoder_of(config_of(_VAE_CONFIG))
-        _randomize_weights(autoencoder_model)
+        add_noise(autoencoder_model)
         write_network(folder / "vae", _VAE_CONFIG, autoencoder_model)
     write_schedule(folder, schedule)
     if config["_class_name"] == "UNet2DConditionModel":
@@ -81,15 +81,8 @@ def write_stylise(
     """
     torch.manual_seed(seed)
     network = Stylise(StyliseOptions(channels, blocks), (16, 16))
-    _randomize_weights(network)
+    add_noise(network)
     if drawing:
         set_outline_weights(network)
     write_network(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
     return folder
-
-
-def _randomize_weights(network: nn.Module) -> None:
-    """Add noise to all weights of a network, so that norms and biases differ from 1 and 0."""
-    with torch.no_grad():
-        for weight in network.parameters():
-            weight.add_(0.1 * torch.randn_like(weight))

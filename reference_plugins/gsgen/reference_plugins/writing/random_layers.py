@@ -1,9 +1,16 @@
 """Random weights of networks, for synthetic checkpoints."""
 
-__all__ = ["random_linear"]
+__all__ = ["add_noise", "random_linear"]
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+
+
+def add_noise(network: nn.Module) -> None:
+    """Add noise to all weights of a network, so that norms and biases differ from 1 and 0."""
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.add_(0.1 * torch.randn_like(weight))
 
 
 def random_linear(

@@ -4,7 +4,7 @@ The rule is the specification's (the section "Pictures" of its roles), so that e
 the same numbers.
 """
 
-__all__ = ["PictureFit", "fit_picture"]
+__all__ = ["PictureFit", "fit_picture", "resample"]
 
 from dataclasses import dataclass
 from typing import final
@@ -64,11 +64,27 @@ def fit_picture(
     # Step 1: over the background, in encoded numbers.
     alpha = picture[..., 3:] / 255
     colors = alpha * (picture[..., :3] / 255) + (1 - alpha) * np.asarray(background)
-    # Step 2: triangle filter, first over rows, then over columns.
+    # Step 2: triangle filter.
+    resampled = _resample_part(colors, size, fit).transpose(2, 0, 1)
+    return np.asarray(np.clip(resampled, 0, 1), np.float32)
+
+
+def resample(
+    picture: Float[np.ndarray, "h w c"], size: tuple[int, int]
+) -> Float32[np.ndarray, "rows columns c"]:
+    """Return a picture of the same shape in another size, by the same filter."""
+    fit = PictureFit.of_sizes(picture.shape[:2], size)
+    return np.asarray(_resample_part(picture, size, fit), np.float32)
+
+
+def _resample_part(
+    picture: Float[np.ndarray, "h w c"], size: tuple[int, int], fit: PictureFit
+) -> Float[np.ndarray, "rows columns c"]:
+    """Apply a triangle filter to a part of a picture, first over rows, then over columns."""
     vertical = _resampling_weights(picture.shape[0], size[0], fit.scale, fit.top)
     horizontal = _resampling_weights(picture.shape[1], size[1], fit.scale, fit.left)
-    resampled = np.einsum("yh,hwc->cyw", vertical, colors, optimize=True) @ horizontal.T
-    return np.asarray(np.clip(resampled, 0, 1), np.float32)
+    rows = np.einsum("yh,hwc->cyw", vertical, picture, optimize=True)
+    return np.asarray((rows @ horizontal.T).transpose(1, 2, 0))
 
 
 def _resampling_weights(

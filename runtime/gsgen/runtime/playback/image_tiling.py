@@ -8,6 +8,7 @@ __all__ = ["Tile", "lay_tiles", "post_process", "run_tiled", "tile_weights"]
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,19 +50,22 @@ def _tile_starts(length: int, size: int, overlap: int) -> list[int]:
 
 
 def tile_weights(
-    image: tuple[int, int], tile: tuple[int, int], overlap: int
+    image: tuple[int, int], tile: tuple[int, int], overlap: int, scale: int = 1
 ) -> list[tuple[Tile, Float[np.ndarray, "h w"]]]:
-    """Return every tile of an image with the blend weight of each pixel, float64.
+    """Return every tile of an image with the blend weight of each pixel of its result, float64.
 
-    A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
-    at each pixel; a pixel of one tile alone has weight 1.
+    Results are ``scale`` times as high and wide as tiles. A weight rises from a result's edge over
+    the pixels of ``overlap``. The weights of all tiles sum to 1 at each pixel; a pixel of one tile
+    alone has weight 1.
     """
-    weight_ramp = np.outer(_blend_ramp(tile[0], overlap), _blend_ramp(tile[1], overlap))
+    sides = [_blend_ramp(scale * side, scale * overlap) for side in tile]
+    weight_ramp = np.outer(*sides)
     tiles = list(lay_tiles(image, tile, overlap))
-    total = np.zeros(image)
-    for corner in tiles:
-        total[_tile_slices(corner, tile)] += weight_ramp
-    return [(corner, weight_ramp / total[_tile_slices(corner, tile)]) for corner in tiles]
+    total = np.zeros((scale * image[0], scale * image[1]))
+    parts = [_tile_slices(corner, tile, scale) for corner in tiles]
+    for part in parts:
+        total[part] += weight_ramp
+    return [(corner, weight_ramp / total[part]) for corner, part in zip(tiles, parts, strict=True)]
 
 
 def _blend_ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
@@ -70,8 +74,12 @@ def _blend_ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
     return np.minimum(edge_distance / (overlap + 1), 1.0)
 
 
-def _tile_slices(tile: Tile, size: tuple[int, int]) -> tuple[slice, slice]:
-    rows, columns = (slice(tile.top, tile.top + size[0]), slice(tile.left, tile.left + size[1]))
+def _tile_slices(tile: Tile, size: tuple[int, int], scale: int = 1) -> tuple[slice, slice]:
+    """Return the rows and columns of a tile in an image that is ``scale`` times as large."""
+    rows, columns = (
+        slice(scale * first, scale * (first + side))
+        for first, side in zip((tile.top, tile.left), size, strict=True)
+    )
     return rows, columns
 
 
@@ -82,12 +90,13 @@ def run_tiled(image: Image, network: Network, tile: tuple[int, int], overlap: in
 
     Args:
         image: float32 or float16, channels first.
-        network: Takes and returns one tile, [1, C, tile height, tile width]; channels may differ.
+        network: Takes one tile, [1, C, tile height, tile width], and returns one of that size or a
+            multiple; channels may differ.
         tile: Height and width of a tile.
         overlap: The least number of pixels that neighbours share, below half a tile's sides.
 
     Returns:
-        The result, in the dtype of the network's output.
+        The result, in the dtype of the network's output, as many times larger as its tiles.
 
     Raises:
         ConfigInvalid: The overlap does not fit the tile, or a size is invalid.
@@ -96,20 +105,29 @@ def run_tiled(image: Image, network: Network, tile: tuple[int, int], overlap: in
     height, width = image.shape[2:]
     missing = [max(0, size - n) for size, n in zip(tile, (height, width), strict=True)]
     padded = np.pad(image, ((0, 0), (0, 0), (0, missing[0]), (0, missing[1])), mode="edge")
-    total: np.ndarray | None = None
-    dtype = image.dtype
-    for corner, weight in tile_weights(padded.shape[2:], tile, overlap):
-        part = (slice(None), slice(None), *_tile_slices(corner, tile))
-        result = np.asarray(network(np.ascontiguousarray(padded[part])))
-        if result.ndim != 4 or result.shape[0] != 1 or result.shape[2:] != tile:
-            message = f"the network returned {list(result.shape)}, expected [1, channels, {tile[0]}, {tile[1]}]"
+    results = (
+        np.asarray(network(np.ascontiguousarray(padded[:, :, rows, columns])))
+        for rows, columns in (
+            _tile_slices(corner, tile) for corner in lay_tiles(padded.shape[2:], tile, overlap)
+        )
+    )
+    first = next(results)
+    scale = max(1, first.shape[2] // tile[0]) if first.ndim == 4 else 1
+    enlarged_tile = (scale * tile[0], scale * tile[1])
+    weights = tile_weights(padded.shape[2:], tile, overlap, scale)
+    total = np.zeros(
+        (1, first.shape[min(1, first.ndim - 1)], *(scale * side for side in padded.shape[2:]))
+    )
+    for result, (corner, weight) in zip(chain([first], results), weights, strict=True):
+        if result.ndim != 4 or result.shape[0] != 1 or result.shape[2:] != enlarged_tile:
+            message = (
+                f"the network returned {list(result.shape)}, expected [1, channels, {tile[0]}, "
+                f"{tile[1]}], or a multiple of this size"
+            )
             raise ConfigInvalid(message, where="tile")
-        if total is None:
-            dtype = result.dtype
-            total = np.zeros((1, result.shape[1], *padded.shape[2:]))
-        total[part] += weight * result
-    assert total is not None
-    return np.asarray(total[:, :, :height, :width].astype(dtype))
+        rows, columns = _tile_slices(corner, tile, scale)
+        total[:, :, rows, columns] += weight * result
+    return np.asarray(total[:, :, : scale * height, : scale * width].astype(first.dtype))
 
 
 def _require_tile_size(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
@@ -132,7 +150,8 @@ def post_process(
 ) -> Image:
     """Run a post-process model over an image of any size.
 
-    A model of fixed size runs tile by tile; one of open size sees the whole image at once.
+    A model of fixed size runs tile by tile; one of open size sees the whole image at once. The
+    result of an enlarging model is larger than the image by the model's scale.
 
     Args:
         session: An ``onnxruntime.InferenceSession``.

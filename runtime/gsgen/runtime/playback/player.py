@@ -2,6 +2,7 @@
 
 __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 
+import math
 import os
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.runtime.errors import locate_in_frame
+from gsgen.runtime.errors import SceneInvalid, locate_in_frame
 from gsgen.runtime.playback.frame_queue import FrameQueue, PlayStatistics
 from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
@@ -53,7 +54,8 @@ class Player:
 
     While a frame is drawn, the next one is submitted, and the one after it computed. Unchanged
     arrays of a source are not uploaded again, and no buffer is created after the first frames,
-    unless more splats are drawn than before.
+    unless more splats are drawn than before. For post-process models that enlarge, frames are drawn
+    smaller, and have the size of the camera again.
 
     Args:
         sources: Sources that are drawn together; the caller closes them.
@@ -97,6 +99,10 @@ class Player:
             message = f"is {frames_in_flight}, expected at least 1"
             raise ConfigInvalid(message, where="frames_in_flight")
         self._sources, self._post_processors = list(sources), list(post)
+        self._enlargement = math.prod(model.scale for model in post)
+        if self._enlargement > 1 and set(outputs) != {"color"}:
+            message = f"enlarges colours alone, but the outputs are {', '.join(sorted(outputs))}"
+            raise ConfigInvalid(message, where=post[0].name, hint="Draw colours alone.")
         self.scene = compose_scene(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
@@ -112,7 +118,10 @@ class Player:
         number = self._start_frame(request)
         self._finish_sources()
         frame = self.renderer.render(
-            self.scene, request.camera, background=self._background, outputs=self._outputs
+            self.scene,
+            self._drawn_camera(request),
+            background=self._background,
+            outputs=self._outputs,
         )
         return self._post_process(frame, request, number)
 
@@ -177,10 +186,11 @@ class Player:
                 frame = next(computed, None)
                 if frame is None:
                     break
-                if not queue.try_submit(frame[0].camera):
+                camera = self._drawn_camera(frame[0])
+                if not queue.try_submit(camera):
                     yield from take(0)
                     queue.waits, max_in_flight = True, 1
-                    queue.submit(frame[0].camera)
+                    queue.submit(camera)
             except Exception:
                 yield from take(0)  # the error is of a later frame
                 raise
@@ -192,9 +202,16 @@ class Player:
         """Begin to compute a frame, and return its number."""
         number = self._started_count if request.number is None else request.number
         self._started_count += 1
+        camera = self._drawn_camera(request)
         for source, values in zip(self._sources, _padded_values(request.values), strict=False):
-            source.start(request.camera, values, number)
+            source.start(camera, values, number)
         return number
+
+    def _drawn_camera(self, request: FrameRequest) -> Camera:
+        """Return the camera of a frame before post-process models enlarge it."""
+        return (
+            _reduced(request.camera, self._enlargement) if self._enlargement > 1 else request.camera
+        )
 
     def _finish_sources(self) -> None:
         for source in self._sources:
@@ -208,7 +225,38 @@ class Player:
                 frame = model(frame, values)
             except GsgenError as error:
                 raise locate_in_frame(error, model.name, number) from error
+        if self._enlargement > 1 and frame.rgba is not None:
+            camera = request.camera
+            rgba = frame.rgba[: camera.height, : camera.width]
+            frame = replace(frame, rgba=rgba, alpha=rgba[..., 3])
         return frame
+
+
+def _reduced(camera: Camera, divisor: int) -> Camera:
+    """Return the camera whose pixels are ``divisor`` times as wide and high.
+
+    Its image covers that of the camera; the last row and column may show more.
+
+    Raises:
+        SceneInvalid: A side of a panorama, which cannot show more, is not a multiple.
+    """
+    width, height = -(-camera.width // divisor), -(-camera.height // divisor)
+    is_multiple = (width * divisor, height * divisor) == (camera.width, camera.height)
+    if camera.kind == "panorama" and not is_multiple:
+        message = (
+            f"is {camera.width} × {camera.height}, expected multiples of {divisor}, by which "
+            "post-process models enlarge it"
+        )
+        raise SceneInvalid(message, where="panorama", hint="Give --width and --height.")
+    return replace(
+        camera,
+        fx=camera.fx / divisor,
+        fy=camera.fy / divisor,
+        cx=camera.cx / divisor,
+        cy=camera.cy / divisor,
+        width=width,
+        height=height,
+    )
 
 
 def _padded_values(values: Sequence[Values]) -> Iterator[Values]:

@@ -12,6 +12,7 @@ from jaxtyping import Float, Float32
 
 from gsgen.contract.spec.manifest import Input, PostProcessManifest
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.media.fitted_pictures import resample
 from gsgen.runtime.playback.image_tiling import run_tiled
 from gsgen.runtime.scene.frame import Frame, srgb_of_linear
 from gsgen.runtime.sources.key_frames import Animation
@@ -33,7 +34,8 @@ class PostProcessor:
     A model of fixed size runs tile by tile; one of open size sees the whole image, and is opened
     again when the size changes. Its input is sRGB, not multiplied by alpha, clipped, and scaled to
     the range that its manifest declares. Its output is scaled back, and is in the manifest's
-    colour space. Without an alpha output, the frame keeps its alpha.
+    colour space. Without an alpha output, the frame keeps its alpha; that of a frame that the
+    model enlarges is interpolated.
 
     Args:
         path: The model.
@@ -84,6 +86,11 @@ class PostProcessor:
             self._open_session((0, 0))  # a model that cannot run raises before drawing begins
 
     @property
+    def scale(self) -> int:
+        """Height and width of the model's result, as multiples of those of a frame."""
+        return self.manifest.outputs.image.scale
+
+    @property
     def inputs(self) -> tuple[Input, ...]:
         """The inputs of the post-process model other than the image."""
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
@@ -105,6 +112,7 @@ class PostProcessor:
     def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
         """Run the model on a frame with colours, and return the frame with new colours.
 
+        An enlarging model returns the colours and alpha of a larger frame, and no other outputs.
         ``values`` maps tensor names or roles to values; absent inputs keep theirs.
 
         Raises:
@@ -127,10 +135,20 @@ class PostProcessor:
         low, high = self.manifest.image_range
         image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(binding.dtype)
         result = self._run_model(session, image)
-        return replace(
-            frame,
-            rgba=self._apply_alpha(result, alpha),
-            color_space=self.manifest.outputs.image.color_space,
+        rgba = self._apply_alpha(result, alpha)
+        color_space = self.manifest.outputs.image.color_space
+        if self.scale == 1:
+            return replace(frame, rgba=rgba, color_space=color_space)
+        return Frame(
+            rgba=rgba,
+            alpha=rgba[..., 3],
+            depth=None,
+            median_depth=None,
+            ids=None,
+            normal=None,
+            visible=frame.visible,
+            pairs=frame.pairs,
+            color_space=color_space,
         )
 
     def _run_model(
@@ -151,11 +169,11 @@ class PostProcessor:
         self, result: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
     ) -> Float32[np.ndarray, "h w 4"]:
         """Scale the model's output image to [0, 1], and multiply it by alpha."""
-        height, width = alpha.shape[:2]
+        height, width = (self.scale * side for side in alpha.shape[:2])
         if result.shape not in ((1, 3, height, width), (1, 4, height, width)):
             raise SceneInvalid(
-                f"returned {list(result.shape)} for an image of {height} × {width}, expected "
-                f"[1, 3 or 4, {height}, {width}]",
+                f"returned {list(result.shape)} for an image of {alpha.shape[0]} × "
+                f"{alpha.shape[1]}, expected [1, 3 or 4, {height}, {width}]",
                 where=self.name,
             )
         low, high = self.manifest.outputs.image.range
@@ -167,6 +185,8 @@ class PostProcessor:
             raise SceneInvalid(message, where=self.name)
         if image.shape[2] == 4:
             alpha = np.clip(image[..., 3:], 0, 1)
+        elif self.scale > 1:
+            alpha = resample(alpha, (height, width))
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
     def _open_session(self, size: tuple[int, int]) -> "FrameSession":

@@ -15,7 +15,7 @@ class PostProcess(nn.Module, ABC):
     """Base class of post-process models: a torch module from the rendered image to an image.
 
     Subclasses set the class attributes below (or set them on the instance) and write ``forward``,
-    which takes the declared inputs in order and returns [1, 3 or 4, H, W].
+    which takes the declared inputs in order and returns [1, 3 or 4, scale H, scale W].
 
     Attributes:
         inputs: From the functions of :mod:`gsgen.sdk.authoring.inputs`: one ``image``, and other
@@ -24,6 +24,7 @@ class PostProcess(nn.Module, ABC):
         image_range: Values of black and white in the input image.
         output_range: Values of black and white in the output image.
         color_space: Colour space of the output image.
+        scale: Height and width of the output image, as multiples of those of the input image.
         tolerance: Allowed error of the exported model, as a fraction of the output's range.
         half_tolerance: The same for a model that computes in float16.
         family: A word such as ``diffusion``.
@@ -35,6 +36,7 @@ class PostProcess(nn.Module, ABC):
     image_range: tuple[float, float] = (0.0, 1.0)
     output_range: tuple[float, float] = (0.0, 1.0)
     color_space: Literal["srgb", "linear"] = "srgb"
+    scale: int = 1
     tolerance: float = 1e-3
     half_tolerance: float = 2e-2
     family: str | None = None
@@ -42,7 +44,7 @@ class PostProcess(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:
-        """Return the processed image for a rendered image, [1, channels, height, width].
+        """Return the processed image for a rendered image, [1, channels, scale H, scale W].
 
         Args:
             inputs: One tensor for each declared input, in order. A model that is exported as

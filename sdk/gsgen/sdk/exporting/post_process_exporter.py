@@ -142,12 +142,13 @@ def export_post_process(
         report = check_contract(draft, options)
     shape = _image(manifest.inputs).shape
     size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
+    times = f", enlarged {model.scale} times" if model.scale > 1 else ""
     return Exported(
         path=path,
         manifest=manifest,
         report=report,
         dtype=dtype,
-        contents=f"an image of {size}, {dtype}",
+        contents=f"an image of {size}, {dtype}{times}",
         parity=parity,
         changes=tuple(changes),
         float16_result=float16_result,
@@ -212,7 +213,9 @@ def _check_inputs(model: PostProcess) -> None:
 
 
 def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
-    image = ImageOutput(OUTPUT_NAME, dtype, model.output_range, model.color_space)
+    image = ImageOutput(
+        OUTPUT_NAME, dtype, model.output_range, model.color_space, scale=model.scale
+    )
     return PostProcessManifest(
         name=name,
         family=model.family,
@@ -245,7 +248,8 @@ def _run_eager_model(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c
     """Run a post-process module in eager torch in float32, even for a float16 export."""
     tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
     image = call_module(model, tensors)
-    height, width = probe.inputs[_image(model.inputs).name].shape[2:]
+    shape = probe.inputs[_image(model.inputs).name].shape
+    height, width = (model.scale * side for side in shape[2:])
     is_image = isinstance(image, torch.Tensor) and image.ndim == 4
     if not is_image or image.shape[1] not in IMAGE_CHANNELS or image.shape[2:] != (height, width):
         is_tensor = isinstance(image, torch.Tensor)

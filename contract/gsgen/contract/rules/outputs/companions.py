@@ -13,14 +13,14 @@ from gsgen.contract.validation.rule import rule
 
 @rule("GO018", Severity.ERROR, needs=("GM004", "GI005"), kinds=(POST_PROCESS,))
 def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
-    """The output image has the declared dtype and the size of the input image.
+    """The output image has the declared dtype, and the size of the input image times `scale`.
 
     Why:
         The result takes the place of the rendered image: it is read with the declared dtype, and
-        drawn over the same pixels.
+        a runtime draws the picture smaller by the declared scale.
 
     Hint:
-        Resize inside the model, cast at its end, and declare the dtype that the graph has.
+        Resize inside the model, cast at its end, and declare the dtype and the scale of the graph.
     """
     manifest = subject.manifest
     if not isinstance(manifest, PostProcessManifest):
@@ -33,8 +33,9 @@ def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
         expected = f"the declared dtype {declared.dtype}"
         yield Violation.at(location, f"graph has {tensor.dtype}", expected)
     for _, input_image in subject.inputs_of("image"):
-        if not _sizes_agree(input_image, tensor):
-            expected = f"{input_image}, as {input_image.name} has, with 3 or 4 channels"
+        if not _sizes_agree(input_image, tensor, declared.scale):
+            times = "" if declared.scale == 1 else f"{declared.scale} times the size of "
+            expected = f"{times}{input_image}, as {input_image.name} has, with 3 or 4 channels"
             yield Violation.at(location, f"shape {tensor}", expected)
 
 
@@ -45,15 +46,15 @@ def _image(
     return declared, subject.graph.output(declared.name)
 
 
-def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
-    """Return whether known sizes of input and output image agree, and channels are 3 or 4."""
+def _sizes_agree(input_image: Tensor, output_image: Tensor, scale: int) -> bool:
+    """Return whether known sizes agree with the input's times ``scale``; channels are 3 or 4."""
     if input_image.dims is None or output_image.dims is None:
         return True
     if len(input_image.dims) != len(output_image.dims) or len(output_image.dims) != 4:
         return False
-    sizes = [(0, input_image.dims[0], output_image.dims[0])]
-    sizes += [(a, input_image.dims[a], output_image.dims[a]) for a in (2, 3)]
-    known = all(x == y for _, x, y in sizes if isinstance(x, int) and isinstance(y, int))
+    sizes = [(1, input_image.dims[0], output_image.dims[0])]
+    sizes += [(scale, input_image.dims[a], output_image.dims[a]) for a in (2, 3)]
+    known = all(k * x == y for k, x, y in sizes if isinstance(x, int) and isinstance(y, int))
     channels = output_image.dims[1]
     return known and (not isinstance(channels, int) or channels in (3, 4))
 

@@ -1,4 +1,4 @@
-"""Validation rules of post-process models: images are finite, and keep size and range."""
+"""Validation rules of post-process models: images are finite, of the declared size and range."""
 
 from collections.abc import Iterator
 
@@ -47,31 +47,33 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 @rule("GV056", Severity.ERROR, needs=(MODEL_RUNS, "GO018"), kinds=(POST_PROCESS,))
 def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """The output image has the height and the width of the input image.
+    """The output image is `scale` times as high and as wide as the input image, at odd sizes, too.
 
     Why:
         The result is drawn over the pixels of the rendered image. Where sizes are open in the
         graph, only a run shows a pooling or a padding that was left in.
 
     Hint:
-        Resize to the size of the input at the end of the model; channels stay first.
+        Pad the image to the multiple that the network needs, and crop its result to the size of
+        the input times the declared scale; channels stay first.
     """
     manifest = probe_runs.subject.manifest
     images = probe_runs.subject.inputs_of("image")
     if not isinstance(manifest, PostProcessManifest) or not images:
         return
-    name = manifest.outputs.image.name
-    for run in probe_runs.execution.runs[: probe_runs.plan.values]:
-        input_shape = probe_runs.plan.probes[run.probe].inputs[images[0][0].name].shape
+    name, scale = manifest.outputs.image.name, manifest.outputs.image.scale
+    plan = probe_runs.plan
+    for index in (*range(plan.values), *plan.trials.get("sizes", ())):
+        run, probe = probe_runs.execution.runs[index], plan.probes[index]
+        batch, _, height, width = probe.inputs[images[0][0].name].shape
         value = probe_runs.execution.samples[run.sample].outputs.get(name)
         if value is None:
             continue
         has_fitting_shape = value.ndim == 4 and value.shape[1] in IMAGE_CHANNELS
-        if not has_fitting_shape or (value.shape[0], *value.shape[2:]) != (
-            input_shape[0],
-            *input_shape[2:],
-        ):
-            expected = f"the size of the input, {list(input_shape)}, with 3 or 4 channels"
+        expected_size = (batch, scale * height, scale * width)
+        if not has_fitting_shape or (value.shape[0], *value.shape[2:]) != expected_size:
+            times = f"{scale} times " if scale > 1 else ""
+            expected = f"{times}the size of the input, {height} × {width}, with 3 or 4 channels"
             yield Violation.at(f"output {name}", f"shape {list(value.shape)}", expected)
             return
 

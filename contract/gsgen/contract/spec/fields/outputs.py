@@ -86,12 +86,16 @@ class GeneratorOutputs:
 
 @dataclass(frozen=True, slots=True)
 class ImageOutput:
-    """The image output of a post-process model, [1, 3 or 4, H, W], as large as its input image."""
+    """The image output of a post-process model, [1, 3 or 4, H, W], ``scale`` times its input's size."""
 
     name: Name
     dtype: Literal["float32", "float16"] = "float32"
     range: Annotated[tuple[float, float], Hint(text="Values of black and white.")] = (0.0, 1.0)
     color_space: Literal["srgb", "linear"] = "srgb"
+    _: KW_ONLY
+    scale: Annotated[
+        int, Hint(text="Height and width, as multiples of those of the input image.", minimum=1)
+    ] = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Which networks restore or enlarge rendered images? Real-ESRGAN, SwinIR, NAFNet."""
