@@ -32,7 +32,7 @@ def producer_of(source: str, run: TrainingRun, weights: Sequence[Path] = ()) -> 
     return producer_of_weights(source, weights or files)
 
 
-def producer_of_weights(source: str, weights: Sequence[Path]) -> Producer:
+def producer_of_weights(source: str | None, weights: Sequence[Path]) -> Producer:
     """Return the producer entry of the manifest for the files that hold all weights."""
     digest = hashlib.sha256()
     for file in sorted(weights):

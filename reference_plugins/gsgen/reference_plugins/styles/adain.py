@@ -61,6 +61,8 @@ def decoder_of_width(width: int) -> nn.Sequential:
 class AdaIn(StyleTransfer):
     """Encoder, exchange of means and deviations, decoder; the slider mixes features."""
 
+    source = "https://github.com/naoto0804/pytorch-AdaIN"
+
     style_mean: Tensor
     style_deviation: Tensor
 

@@ -65,6 +65,8 @@ class _InvertedResidual(nn.Module):
 class AnimeGan(StyleTransfer):
     """Two layers down, inverted residual blocks at a quarter of the size, two layers up."""
 
+    source = "https://github.com/bryandlee/animegan2-pytorch"
+
     def __init__(
         self, options: AnimeGanOptions, size: tuple[int, int] | None, *, slider: bool = True
     ) -> None:

@@ -52,6 +52,8 @@ class FastNeuralStyle(StyleTransfer):
     The layers at the ends take and give 0 … 255; that is folded into their weights.
     """
 
+    source = "https://github.com/pytorch/examples"
+
     def __init__(
         self, channels: int, blocks: int, size: tuple[int, int] | None, *, slider: bool = True
     ) -> None:

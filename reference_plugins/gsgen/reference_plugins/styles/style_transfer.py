@@ -11,9 +11,14 @@ from gsgen.sdk import PostProcess, inputs
 
 
 class StyleTransfer(PostProcess):
-    """A network that redraws images in 0 … 1; how much of it is shown may be an input."""
+    """A network that redraws images in 0 … 1; how much of it is shown may be an input.
+
+    Attributes:
+        source: Where the network's own code is; None for networks of this package.
+    """
 
     family = "stylisation"
+    source: str | None = None
 
     def __init__(self, size: tuple[int, int] | None, *, slider: bool = True) -> None:
         super().__init__()
