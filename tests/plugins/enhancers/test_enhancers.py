@@ -118,7 +118,7 @@ def test_weights_by_formula_enlarge_by_a_cubic(scale: int, tmp_path: Path) -> No
 def test_weights_are_found_below_every_wrapper(tmp_path: Path) -> None:
     states = []
     for wrapper in ("params_ema", "params", "state_dict", ""):
-        file = write_enhancer(tmp_path / f"{wrapper}.pth", "compact", wrapper=wrapper)
+        file = write_enhancer(tmp_path / f"weights-{wrapper}.pth", "compact", wrapper=wrapper)
         states.append(read_network(file).state_dict())
     for state in states[1:]:
         assert all(torch.equal(value, states[0][name]) for name, value in state.items())
