@@ -33,9 +33,11 @@ from gsgen.sdk.passes.portability.clip_before_cast import ClipBeforeCast
 from gsgen.sdk.passes.portability.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.portability.lower_opset import LowerOpset
 from gsgen.sdk.passes.portability.narrow_integers import NarrowIntegers
+from gsgen.sdk.passes.portability.pad_channels import PadChannels
 from gsgen.sdk.passes.portability.restore_guards import RestoreGuards
 from gsgen.sdk.passes.portability.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.rows.mask_rows import MaskRows
+from gsgen.sdk.passes.rows.widen_numbers import WidenNumbers
 from gsgen.sdk.passes.rows.work_in_columns import RewriteRowsToColumns
 from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
 from gsgen.sdk.passes.simplify.explicit_defaults import MakeDefaultsExplicit
@@ -76,6 +78,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     WriteOutSigns,
     MultiplyMatrices,
     LowerRoundToFloor,
+    PadChannels,
     # -- Less work: unneeded operators are removed, consecutive ones merged.
     RewriteRowsToColumns,
     SampleByProduct,
@@ -84,6 +87,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     RemoveNoOps,
     MergeCasts,
     MergeReshapes,
+    WidenNumbers,
     DeduplicateWeights,
     # -- Widths and sizes that a target can bind, after every pass that joins tensors.
     SplitLargeWeights,
