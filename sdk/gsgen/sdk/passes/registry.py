@@ -39,6 +39,7 @@ from gsgen.sdk.passes.portability.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.rows.mask_rows import MaskRows
 from gsgen.sdk.passes.rows.widen_numbers import WidenNumbers
 from gsgen.sdk.passes.rows.work_in_columns import RewriteRowsToColumns
+from gsgen.sdk.passes.rows.work_in_planes import RewriteRowsToPlanes
 from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
 from gsgen.sdk.passes.simplify.explicit_defaults import MakeDefaultsExplicit
 from gsgen.sdk.passes.simplify.fold_shapes import FoldShapes
@@ -81,6 +82,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     PadChannels,
     # -- Less work: unneeded operators are removed, consecutive ones merged.
     RewriteRowsToColumns,
+    RewriteRowsToPlanes,
     SampleByProduct,
     LowerSplitsToSlices,
     MergeTransposes,

@@ -76,9 +76,7 @@ def test_padded_channels_keep_the_value(
 def test_other_convolutions_are_left_alone(
     channels: int, count: int, kernel: list[int], attributes: str
 ) -> None:
-    assert not PadChannels()(
-        convolution(channels, count, kernel, attributes=attributes)
-    ).modified
+    assert not PadChannels()(convolution(channels, count, kernel, attributes=attributes)).modified
 
 
 @pytest.mark.parametrize("channels", range(1, 25))

@@ -4,7 +4,14 @@ A tensor [rows, a, b, …] is a NumPy array [a, b, …] of columns: an operator 
 first becomes the same NumPy operation on that array.
 """
 
-__all__ = ["Columns", "EmitNode", "columns_of", "works_on_columns"]
+__all__ = [
+    "ELEMENTWISE_OPERATORS",
+    "Columns",
+    "EmitNode",
+    "columns_of",
+    "reduction_axes",
+    "works_on_columns",
+]
 
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -29,7 +36,7 @@ Columns = np.ndarray[Any, np.dtype[np.object_]]
 EmitNode = Callable[[str, Sequence[Any], dict[str, Any]], Any]
 ColumnLookup = Callable[[ir.Value], Columns]
 
-_ELEMENTWISE_OPERATORS = frozenset({
+ELEMENTWISE_OPERATORS = frozenset({
     "Abs", "Add", "And", "Cast", "Ceil", "Clip", "Cos", "Div", "Equal", "Exp", "Floor",
     "Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Log", "Max", "Min", "Mul", "Neg",
     "Not", "Or", "Reciprocal", "Relu", "Sigmoid", "Sin", "Sqrt", "Sub", "Tanh", "Where",
@@ -45,14 +52,14 @@ _RESHAPE_OPERATORS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 def works_on_columns(node: ir.Node, rows: int) -> bool:
     """Return whether a node on tensors of many rows can be evaluated column by column."""
-    if is_op(node, *_ELEMENTWISE_OPERATORS):
+    if is_op(node, *ELEMENTWISE_OPERATORS):
         return all(value is None or _may_be_row_operand(value, node, rows) for value in node.inputs)
     first = node.inputs[0] if node.inputs else None
     shape = fixed_shape(first)
     if not shape or shape[0] != rows:
         return False
     if is_op(node, *_OPERATOR_BY_REDUCTION):
-        axes = _axes(node, len(shape))
+        axes = reduction_axes(node, len(shape))
         return bool(axes) and 0 not in axes
     if is_op(node, *_RESHAPE_OPERATORS):
         return True
@@ -82,7 +89,7 @@ def columns_of(
 
     ``lookup`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
-    if is_op(node, *_ELEMENTWISE_OPERATORS):
+    if is_op(node, *ELEMENTWISE_OPERATORS):
         return [_compute_elementwise(node, inputs, rows, lookup, emit)]
     first = required(inputs[0])
     columns, shape = lookup(first), required(fixed_shape(node.outputs[0]))
@@ -171,7 +178,7 @@ def _columns_of_operand(
 
 
 def _compute_reduction(node: ir.Node, columns: Columns, emit: EmitNode) -> Columns:
-    axes = [axis - 1 for axis in _axes(node, columns.ndim + 1)]
+    axes = [axis - 1 for axis in reduction_axes(node, columns.ndim + 1)]
     remaining_axes = [axis for axis in range(columns.ndim) if axis not in axes]
     rows = columns.transpose(remaining_axes + axes)
     flat = rows.reshape(prod(rows.shape[: len(remaining_axes)]), -1)
@@ -184,7 +191,7 @@ def _compute_reduction(node: ir.Node, columns: Columns, emit: EmitNode) -> Colum
     return totals
 
 
-def _axes(node: ir.Node, rank: int) -> list[int]:
+def reduction_axes(node: ir.Node, rank: int) -> list[int]:
     """Return the axes that a reduction node reduces; an empty list if unknown."""
     attribute = node.attributes.get("axes")
     if attribute is not None:

@@ -2,8 +2,7 @@
 
 __all__ = ["RewriteRowsToColumns"]
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Sequence
 from math import prod
 from typing import Any
 
@@ -14,10 +13,10 @@ from gsgen.sdk.passes.framework.base import SAFE_TENSOR_COUNT, ErrorBudget, Rewr
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, required
 from gsgen.sdk.passes.rows.column_rules import Columns, EmitNode, columns_of, works_on_columns
+from gsgen.sdk.passes.rows.row_groups import RowGroup, row_groups
 
 # A kernel launch costs as much as some ten thousand rows; below this, fewer nodes are faster.
-_MIN_ROWS = 1 << 16
-_MAX_COLUMN_COUNT = 16
+_ROWS = range(1 << 16, 1 << 62)
 # Nanoseconds per element, measured with ONNX Runtime 1.31 on one core; only their ratios matter.
 # Joining and splitting narrow rows moves four bytes at a time.
 _ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
@@ -46,7 +45,7 @@ class RewriteRowsToColumns(Rewrite):
 
     def rewrite(self, model: ir.Model) -> None:
         """Compute groups of nodes column by column where this is predicted to take less time."""
-        for group in _groups(model.graph):
+        for group in row_groups(model.graph, _ROWS, works_on_columns):
             column_plan = _ColumnPlan(group)
             if column_plan.cost_after() <= _MAX_COST_RATIO * column_plan.cost_before():
                 for node in group.nodes:
@@ -54,65 +53,10 @@ class RewriteRowsToColumns(Rewrite):
                 column_plan.build()
 
 
-@dataclass
-class _ColumnGroup:
-    """Connected graph nodes that work on tensors with the same number of rows."""
-
-    rows: int
-    nodes: list[ir.Node] = field(default_factory=list)
-
-
-def _groups(graph: ir.Graph) -> Iterator[_ColumnGroup]:
-    """Yield groups of connected, input-dependent nodes on long, narrow tensors, in graph order."""
-    varying_values = {value for value in graph.inputs if value.name not in graph.initializers}
-    group_of_value: dict[ir.Value, _ColumnGroup] = {}
-    groups: list[_ColumnGroup] = []
-    for node in graph:
-        if not varying_values.intersection(value for value in node.inputs if value is not None):
-            continue
-        varying_values.update(node.outputs)
-        rows = _rows(node)
-        if rows is None:
-            continue
-        neighbours = {
-            id(group_of_value[v]): group_of_value[v]
-            for v in node.inputs
-            if v in group_of_value and group_of_value[v].rows == rows
-        }
-        merged_group = _ColumnGroup(rows)
-        for neighbour in neighbours.values():
-            merged_group.nodes += neighbour.nodes
-            groups.remove(neighbour)
-        merged_group.nodes.append(node)
-        groups.append(merged_group)
-        group_of_value |= {
-            value: merged_group for member in merged_group.nodes for value in member.outputs
-        }
-    order = {node: index for index, node in enumerate(graph)}
-    for group in groups:
-        group.nodes.sort(key=order.__getitem__)
-        yield group
-
-
-def _rows(node: ir.Node) -> int | None:
-    """Return a node's number of rows if it can be computed column by column, else None."""
-    shapes = [fixed_shape(value) for value in node.outputs]
-    rows = {shape[0] if shape else 0 for shape in shapes}
-    if None in shapes or len(rows) != 1:
-        return None
-    (count,) = rows
-    are_shapes_narrow = all(shape and prod(shape[1:]) <= _MAX_COLUMN_COUNT for shape in shapes)
-    return (
-        count
-        if count >= _MIN_ROWS and are_shapes_narrow and works_on_columns(node, count)
-        else None
-    )
-
-
 class _ColumnPlan:
     """A plan to compute nodes column by column, with the predicted times before and after."""
 
-    def __init__(self, group: _ColumnGroup) -> None:
+    def __init__(self, group: RowGroup) -> None:
         self.rows, self.nodes = group.rows, group.nodes
         inner_nodes = set(self.nodes)
         self.inputs = {node: list(node.inputs) for node in self.nodes}
