@@ -176,6 +176,7 @@ def test_nonconforming_model_is_reported_and_not_written(folder: Path) -> None:
     assert not (folder / "m.onnx").exists()
     document = json.loads((folder / "r.json").read_text())
     assert document["written"] is False
+    assert document["stages"][0]["name"] == "building the generator"
     assert document["error"]["kind"] == "ExportRejected"
     assert document["validation"]["counts"]["error"] == 1
 
@@ -368,7 +369,8 @@ def test_a_module_for_a_gpu_is_exported_with_a_stand_in_for_its_kernel(folder: P
     assert document["options"]["timeout"] == 300
     assert document["constants"] is None
     names = [stage["name"] for stage in document["stages"]]
-    assert names[:3] == [
+    assert names[:4] == [
+        "building the generator",
         "running the module in eager torch",
         "tracing the graph",
         "rewriting the graph",

@@ -9,6 +9,7 @@ import torch
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest import Space
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import load_target
@@ -293,3 +294,34 @@ def test_exporting_twice_gives_the_same_bytes(tmp_path: Path, exported: Exported
     again = export(Drift(), tmp_path / path.name, capacity=256).path
     assert again.read_bytes() == path.read_bytes()
     assert list(tmp_path.iterdir()) == [again]
+
+
+class ReadsRows(GaussianGenerator):
+    """As authors have it: the matrix as in a textbook, although the input is transposed."""
+
+    inputs = (inputs.view(),)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rest = torch.rand(8, 3)
+
+    def forward(self, view: torch.Tensor) -> Gaussians:
+        rotation, translation = view[:3, :3], view[:3, 3]  # guilty
+        depth = (self.rest @ rotation.T + translation)[:, 2:].abs()
+        ones = torch.ones(8, 3)
+        turn = torch.tensor([[1.0, 0, 0, 0]]).repeat(8, 1)
+        return Gaussians(self.rest, 1 / (1 + depth[:, 0]), 0.1 * ones, turn, rgb=0.5 * ones)
+
+
+def test_a_matrix_read_in_the_other_order_is_refused_with_its_line_and_a_hint_that_works(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(ExportRejected) as caught:
+        export(ReadsRows(), tmp_path / "m.onnx", verify="quick")
+    assert "# guilty" in caught.value.where
+    assert 'space = Space(matrix_order="row")' in caught.value.hint
+
+    class Declared(ReadsRows):
+        space = Space(matrix_order="row")
+
+    assert export(Declared(), tmp_path / "m.onnx", verify="quick").parity.holds

@@ -42,6 +42,7 @@ from gsgen.sdk.exporting.prepare import BOUNDS_PROBES, PreparedExport, default_d
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.source_vectors import RowRecorder, add_source_vectors
 from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
+from gsgen.sdk.exporting.tracing.operator_watch import OperatorWatch
 from gsgen.sdk.exporting.tracing.trace import TracedGenerator, trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
@@ -63,6 +64,13 @@ _FLOAT16_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appear
 _FLOAT16_RUN_BUDGET, _FLOAT16_PROBE_COUNT = 24, 4
 # The rules that a shape which depends on values breaks.
 _SHAPE_RULES = ("GG004", "GG026")
+# The rule of the view matrix's order in memory.
+_MATRIX_ORDER_RULE = "GI007"
+_MATRIX_ORDER_HINT = (
+    "The input of gsgen.sdk.inputs.view() has the transposed matrix, as 3DGS's world_view_transform: "
+    "xyz @ camera[:3, :3] + camera[3, :3]. If forward reads it as xyz @ camera[:3, :3].T + "
+    'camera[:3, 3], write space = Space(matrix_order="row") into the class.'
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +165,7 @@ def export(
     generator = generator.eval().cpu()
     dtype = dtype or default_dtype(generator, target)
     half = dtype == "float16"
-    clock = StageClock(progress)
+    clock = StageClock.of(progress)
     with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         # Step 1: eager reference and hazards. A search for float16 weights measures a float32 graph.
         clock.begin("running the module in eager torch")
@@ -186,7 +194,7 @@ def export(
             try:
                 report = check_contract(draft, options)
             except ExportRejected as error:
-                raise _with_line(error, traced.shape_obstacle) from error
+                raise _with_line(error, traced.shape_obstacle, prepared_export) from error
     if traced.folding is not None:
         notes += traced.folding.describe()
     gaussians = rewritten.manifest.outputs.gaussians
@@ -210,12 +218,29 @@ def export(
     )
 
 
-def _with_line(error: ExportRejected, obstacle: ExportFailed | None) -> ExportRejected:
-    """Return the rejection of a shape that depends on values with the line of forward."""
-    is_of_shapes = any(finding.rule in _SHAPE_RULES for finding in error.report.findings)
-    if obstacle is None or not is_of_shapes:
-        return error
-    return ExportRejected(error.message, error.report, where=obstacle.where, hint=obstacle.hint)
+def _with_line(
+    error: ExportRejected, obstacle: ExportFailed | None, prepared_export: PreparedExport
+) -> ExportRejected:
+    """Return the rejection with the line of forward: of a shape that depends on values, or of the
+    view matrix that is read in another order than the declared one.
+    """
+    rules = {finding.rule for finding in error.report.findings}
+    if obstacle is not None and not rules.isdisjoint(_SHAPE_RULES):
+        return ExportRejected(error.message, error.report, where=obstacle.where, hint=obstacle.hint)
+    if _MATRIX_ORDER_RULE in rules:
+        where = _line_that_reads_view(prepared_export) or error.where
+        return ExportRejected(error.message, error.report, where=where, hint=_MATRIX_ORDER_HINT)
+    return error
+
+
+def _line_that_reads_view(prepared_export: PreparedExport) -> str:
+    """Return the line of forward that first reads the view matrix; empty if it is not known."""
+    manifest, example = prepared_export.manifest, prepared_export.example
+    name = next(entry.name for entry in manifest.inputs if entry.role == "view")
+    tensors = {name: torch.from_numpy(np.array(value)) for name, value in example.inputs.items()}
+    with torch.no_grad(), OperatorWatch(tensors[name]) as watch:
+        prepared_export.generator(*tensors.values())
+    return watch.reading_line
 
 
 def _trace(prepared_export: PreparedExport, options: ExportOptions) -> TracedGenerator:

@@ -60,6 +60,9 @@ class Stage:
 class StageClock:
     """Measures the processor time of the stages of an export.
 
+    It is a progress callback, too: a caller that passes it to an export has the stages of one that
+    fails.
+
     Args:
         progress: Called with a message when a stage begins.
     """
@@ -69,6 +72,15 @@ class StageClock:
         self._stages: list[Stage] = []
         self._name = ""
         self._start = self._first_start = _cpu_seconds()
+
+    @classmethod
+    def of(cls, progress: Progress) -> "StageClock":
+        """Return the clock of an export: the caller's own, or a new one."""
+        return progress if isinstance(progress, StageClock) else cls(progress)
+
+    def __call__(self, message: str) -> None:
+        """Pass a message on, within the stage that runs."""
+        self._progress(message)
 
     def begin(self, name: str) -> None:
         """End the stage before, and begin the next one."""

@@ -108,7 +108,7 @@ def export_post_process(
         rewrite=rewrite,
         skip=skip,
     )
-    clock = StageClock(progress)
+    clock = StageClock.of(progress)
     validate_module(model, PostProcess)
     model = model.eval().cpu()
     # Step 1: eager reference.

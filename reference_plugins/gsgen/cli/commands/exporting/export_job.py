@@ -16,7 +16,7 @@ from gsgen.contract.errors import ConfigInvalid, FileNote, GsgenError
 
 if TYPE_CHECKING:
     from gsgen.cli.commands.exporting.export_options import ExportRequest
-    from gsgen.sdk.exporting.pipeline import Exported
+    from gsgen.sdk.exporting.pipeline import Exported, StageClock
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
@@ -32,17 +32,20 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         ParityFailed,
         RewriteFailed,
     )
+    from gsgen.sdk.exporting.pipeline import StageClock
 
     level_faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
+    clock = StageClock(progress)
     try:
         with _collected_warnings() as warning_notes:
-            result = _run_export_job(build, request)
+            result = _run_export_job(build, request, clock)
     except level_faults as error:
         clear()
         outcome = ExportOutcome(
             written=False,
             report=error.report if isinstance(error, ExportRejected) else None,
             parity=error.parity if isinstance(error, ParityFailed) else None,
+            stages=clock.stages(),
             error=error,
         )
         emit_report(replace(request, dtype=request.dtype or "float32"), source, outcome)
@@ -97,7 +100,9 @@ def _collected_warnings() -> Iterator[list[str]]:
         notes.append(f"the module's code warns: {next(iter(texts))}{more}")
 
 
-def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
+def _run_export_job(
+    build: Callable[[], Any], request: "ExportRequest", clock: "StageClock"
+) -> "Exported":
     """Check the options, build the torch module or scene, and export it by its kind."""
     from gsgen.contract.process.limits import Limits
     from gsgen.contract.spec.severity import Level
@@ -110,14 +115,14 @@ def _run_export_job(build: Callable[[], Any], request: "ExportRequest") -> "Expo
     limits = Limits() if request.timeout is None else Limits(seconds=request.timeout)
     settings = Settings(level=Level.parse(request.level, "--level"), limits=limits)
     load_target(request.target)
-    progress("building the generator")
+    clock.begin("building the generator")
     module = _build_generator(build)
     options: dict[str, Any] = {
         "name": request.name,
         "opset": request.opset,
         "target": request.target,
         "settings": settings,
-        "progress": progress,
+        "progress": clock,
     }
     # Case 1: a scene that does not change; torch may be absent.
     if isinstance(module, ConstantSource):

@@ -71,10 +71,12 @@ class OperatorWatch(TorchDispatchMode):
         lines: Operator, without namespace and overload → ``file:line (code)`` of its first call.
         low_precision: Line and dtype of the first operator that computes in a floating type below
             float32, or else converts to one; empty if there is none.
+        reading_line: The line of the first operator that reads ``watched``; empty without one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, watched: Tensor | None = None) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
+        self.watched, self.reading_line = watched, ""
         self.lines: dict[str, str] = {}
         self.low_precision: tuple[str, str] | tuple[()] = ()
         self._is_computed = False
@@ -91,6 +93,8 @@ class OperatorWatch(TorchDispatchMode):
         name = func.overloadpacket.__name__
         line = current_user_line(self._caller_frame)
         self.lines.setdefault(name, line)
+        if line and not self.reading_line and any(value is self.watched for value in args):
+            self.reading_line = line
         if not self._is_computed:
             dtypes = [leaf.dtype for leaf in tree_leaves(result) if isinstance(leaf, Tensor)]
             low = [dtype for dtype in dtypes if _is_low_precision(dtype)]

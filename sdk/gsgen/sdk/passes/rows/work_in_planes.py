@@ -236,8 +236,8 @@ class _PlanePlan:
             perm = [axis - 1 for axis in attributes["perm"][1:]]
             return [write.op("Transpose", first, perm=[*perm, rank - 1])]
         if is_op(node, "Slice"):
-            starts, ends, axes, *steps = node.inputs[1:]
-            moved = np.mod(required(constant_of(axes)), rank) - 1
+            starts, ends, sliced, *steps = node.inputs[1:]
+            moved = np.mod(required(constant_of(sliced)), rank) - 1
             return [write.op("Slice", first, starts, ends, write.constant(moved, "axes"), *steps)]
         attributes["axis"] = int_attribute(node, "axis", 0) % rank - 1
         if is_op(node, "Split"):
