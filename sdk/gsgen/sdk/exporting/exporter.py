@@ -221,9 +221,7 @@ def export(
 def _with_line(
     error: ExportRejected, obstacle: ExportFailed | None, prepared_export: PreparedExport
 ) -> ExportRejected:
-    """Return the rejection with the line of forward: of a shape that depends on values, or of the
-    view matrix that is read in another order than the declared one.
-    """
+    """Return a rejection with the line of forward: of a shape, or of the view matrix's order."""
     rules = {finding.rule for finding in error.report.findings}
     if obstacle is not None and not rules.isdisjoint(_SHAPE_RULES):
         return ExportRejected(error.message, error.report, where=obstacle.where, hint=obstacle.hint)
