@@ -82,13 +82,14 @@ REWRITES: tuple[type[Rewrite], ...] = (
     PadChannels,
     # -- Less work: unneeded operators are removed, consecutive ones merged.
     RewriteRowsToColumns,
-    RewriteRowsToPlanes,
     SampleByProduct,
     LowerSplitsToSlices,
     MergeTransposes,
     RemoveNoOps,
     MergeCasts,
     MergeReshapes,
+    # -- Another layout, after all passes that match rows.
+    RewriteRowsToPlanes,
     WidenNumbers,
     DeduplicateWeights,
     # -- Widths and sizes that a target can bind, after every pass that joins tensors.

@@ -24,8 +24,8 @@ from gsgen.sdk.passes.rows.column_rules import (
 )
 from gsgen.sdk.passes.rows.row_groups import RowGroup, row_groups
 
-# Fewer rows cost less than the launches that are added; with more, single columns are faster.
-_ROWS = range(1 << 12, 1 << 16)
+# Fewer rows cost less than the launches that are added; more leave the cache, and gain nothing.
+_ROWS = range(1 << 12, 1 << 15)
 _MAX_COST_RATIO = 0.75
 # Nanoseconds, measured with ONNX Runtime 1.31 on one core; only their ratios matter. An element; a
 # run of elements that one step of a broadcast, a choice or a copy covers; a product of two matrices.
@@ -59,8 +59,8 @@ class RewriteRowsToPlanes(Rewrite):
         MatMul(A, B)                    →   Σₖ Aᵀ[:, k, None] · Bᵀ[None, k]
 
     Each operator stays one, so that a GPU launches about as often. A group of connected nodes is
-    rewritten if the measured costs predict at most three quarters of the time, from 4,096 to 65,535
-    rows; above, ``work-in-columns`` computes single columns.
+    rewritten if the measured costs predict at most three quarters of the time, from 4,096 to 32,767
+    rows; from 65,536 on, ``work-in-columns`` computes single columns.
     """
 
     name = "work-in-planes"
