@@ -120,6 +120,16 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "timeline": ({"models": [A], "timeline": {"seconds": -1}}, r"timeline\.seconds: is -1"),
     "timeline_of_nothing": ({"models": [A], "timeline": {"fps": 25}}, r"timeline\.seconds: is 0"),
+    "post_path": ({"models": [A], "posts": [{}]}, r"posts\[0\]\.path: is missing, expected text"),
+    "post_field": (
+        {"models": [A], "posts": ["a.onnx", {"path": "b.onnx", "input": {}}]},
+        r"posts\[1\]: unknown field 'input'",
+    ),
+    "post_value": (
+        {"models": [A], "posts": [{"path": "b.onnx", "inputs": {"style": "much"}}]},
+        r"posts\[0\]\.inputs\.style: is 'much', expected numbers",
+    ),
+    "posts": ({"models": [A], "posts": "b.onnx"}, r"posts: is 'b.onnx', expected a list"),
     "timeline_loop": ({"models": [A], "timeline": {"seconds": 1, "loop": 1}}, "true or false"),
 }
 
@@ -169,5 +179,6 @@ READ: list[dict[str, Any]] = [
             "keys": [{"at": 0, "value": "orbit:30,20,4"}, {"at": 3, "value": "orbit:90,2,1"}]
         },
         "timeline": {"fps": 30, "loop": True},
+        "posts": ["b.onnx", {"path": "c.onnx", "inputs": {"style": {"keys": [KEY]}, "a": [1, 2]}}],
     },
 ]

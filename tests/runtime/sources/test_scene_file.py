@@ -16,6 +16,7 @@ from gsgen.formats.shared.notices import FormatWarning
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player
+from gsgen.runtime.playback.post_process import open_posts
 from gsgen.runtime.playback.scene_camera import scene_viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -27,6 +28,7 @@ from support.commands import gsgen_here
 from support.rendering.splat_scenes import camera, cloud, turned
 from support.scene_documents import WRONG, A
 
+STEP = "one_step_enhancer.onnx"
 SMALL_SIZE_ARGS = ("--width", "48", "--height", "32")
 
 
@@ -287,3 +289,46 @@ def test_a_placed_source_closes_what_it_places(folder: Path) -> None:
     placed_source.abandon()
     assert placed_source.shape("time") == inner.shape("time")
     placed_source.close()
+
+
+def test_render_command_runs_the_post_process_models_of_a_scene_file(folder: Path) -> None:
+    """In order, those of the option after them; with key frames; and only on colours."""
+    find("one_step_enhancer").write(folder)
+    find("post_process_any_size").write(folder)  # halves all colours
+    view = {"models": ["a.npz"], "camera": "look-at:0,0,-4,0,0,0", "background": "#808080"}
+
+    def drawn(*arguments: str, **fields: object) -> np.ndarray:
+        path, out = saved(folder, **view, **fields), folder / "out.npy"
+        completed = gsgen_here("render", str(path), "-o", str(out), "--size", "30x21", *arguments)
+        assert completed.code == 0, completed.err
+        return np.asarray(np.load(out))
+
+    def step(strength: object) -> dict[str, object]:
+        return {"path": STEP, "inputs": {"strength": strength}}
+
+    half, options = "post_process_any_size.onnx", ["--post", str(folder / STEP)]
+    np.testing.assert_allclose(drawn(posts=[half])[..., :3], drawn()[..., :3] / 2, atol=1e-5)
+    by_option = drawn(*options, "--input", "strength=0.002", posts=[half])
+    assert np.array_equal(by_option, drawn(posts=[half, step(0.002)]))
+    assert not np.array_equal(by_option, drawn(posts=[half, step(0.02)]))
+    keys = {"keys": [{"at": 0, "value": 0.002}, {"at": 1, "value": 0.02}]}
+    assert np.array_equal(by_option, drawn(posts=[half, step(keys)])[0])
+    depth = ("--mode", "depth")
+    assert np.array_equal(drawn(*depth, posts=[half]), drawn(*depth))
+
+
+def test_errors_of_post_process_models_name_their_entry(folder: Path) -> None:
+    find("one_step_enhancer").write(folder)
+    two = {"keys": [{"at": 0, "value": [1, 2]}, {"at": 1, "value": [1, 2]}]}
+    cases: list[tuple[object, str]] = [
+        ("gone.onnx", r"posts\[0\]\.path: .*gone\.onnx"),
+        ("drift.onnx", r"posts\[0\]\.path: .*is a gaussian-generator, expected a post-process"),
+        ({"path": STEP, "inputs": {"strngth": 1}}, r"posts\[0\]\.inputs: unknown input 'strngth'"),
+        (
+            {"path": STEP, "inputs": {"strength": two}},
+            r"inputs\.strength: has 2 numbers, expected 1",
+        ),
+    ]
+    for post, match in cases:
+        with pytest.raises(GsgenError, match=match):
+            open_posts(read_scene(saved(folder, models=["a.npz"], posts=[post])))

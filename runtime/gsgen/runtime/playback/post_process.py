@@ -1,9 +1,11 @@
 """Runs post-process models: networks that change the colours of a drawn frame."""
 
-__all__ = ["PostProcessor"]
+__all__ = ["PostProcessor", "open_posts"]
 
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self, final
 
@@ -16,7 +18,9 @@ from gsgen.runtime.media.fitted_pictures import resample
 from gsgen.runtime.playback.image_tiling import run_tiled
 from gsgen.runtime.scene.frame import Frame, srgb_of_linear
 from gsgen.runtime.sources.key_frames import Animation
-from gsgen.runtime.sources.source import named
+from gsgen.runtime.sources.placed_source import fixed_and_keyed
+from gsgen.runtime.sources.scene_file import SceneFile, locate_errors
+from gsgen.runtime.sources.source import Values, named
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding import FrameSession
@@ -42,17 +46,21 @@ class PostProcessor:
         provider: ONNX Runtime's execution provider: cpu, webgpu, cuda or auto.
         sizes: Symbol → size of an open dimension other than those of the image.
         confined: Runs the model in a child process with limits; None runs it in this process.
+        values: Inputs with a fixed value: tensor name or role → value.
+        where: Location of ``values`` in error messages.
+        animation: The timeline of its scene, with key frames of inputs: tensor name or role → keys.
 
     Attributes:
         name: Path of the model.
         manifest: Manifest of the model.
+        inputs: The inputs that a caller may set: neither the image nor those with a fixed value.
+        animation: The timeline of its scene, with key frames by tensor name; None without.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model.
         SceneInvalid: The file is not a post-process model.
+        UnknownName: The model has no input that has a value or key frames.
     """
-
-    animation: Animation | None = None  # post-process models have no key frames
 
     def __init__(
         self,
@@ -60,6 +68,9 @@ class PostProcessor:
         provider: str = "cpu",
         sizes: Mapping[str, int] | None = None,
         confined: "ConfinedModels | None" = None,
+        values: Values | None = None,
+        where: str = "values",
+        animation: Animation | None = None,
     ) -> None:
         self.name = str(path)
         self._model_path, self._provider, self._sizes = path, provider, dict(sizes or {})
@@ -82,6 +93,11 @@ class PostProcessor:
             if not isinstance(dimension, int)
         }
         self._session_and_size: tuple[tuple[int, int], FrameSession] | None = None
+        self.inputs: tuple[Input, ...] = tuple(
+            spec for spec in self.manifest.inputs if spec.name != self._image
+        )
+        self._fixed_values, self.animation = fixed_and_keyed(self, values, animation, where)
+        self.inputs = tuple(spec for spec in self.inputs if spec.name not in self._fixed_values)
         if not self._axes:
             self._open_session((0, 0))  # a model that cannot run raises before drawing begins
 
@@ -89,11 +105,6 @@ class PostProcessor:
     def scale(self) -> int:
         """Height and width of the model's result, as multiples of those of a frame."""
         return self.manifest.outputs.image.scale
-
-    @property
-    def inputs(self) -> tuple[Input, ...]:
-        """The inputs of the post-process model other than the image."""
-        return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
         """Return the model inputs with this tensor name, or else with this input role."""
@@ -127,7 +138,7 @@ class PostProcessor:
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]
         session = self._open_session((height, width))
-        session.update(values)
+        session.update({**(values or {}), **self._fixed_values})
         binding = session.inputs[self._image]
         pixels = np.concatenate([_straight_alpha_srgb(frame, alpha), alpha], axis=-1)[
             ..., : binding.shape[1]
@@ -218,6 +229,42 @@ class PostProcessor:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def open_posts(
+    scene: SceneFile,
+    provider: str = "cpu",
+    sizes: Mapping[Path, Mapping[str, int]] | None = None,
+    confined: "ConfinedModels | None" = None,
+) -> list[PostProcessor]:
+    """Open the post-process models of a scene file, in order; the caller closes them.
+
+    Args:
+        scene: The scene file.
+        provider: ONNX Runtime's execution provider.
+        sizes: Path of a model → symbol → size of an open dimension.
+        confined: Runs models in a child process with limits; None runs them in this process.
+
+    Raises:
+        GsgenError: A model cannot be opened; the message names its location in the scene file.
+    """
+    with ExitStack() as exit_stack:
+        models: list[PostProcessor] = []
+        for post in scene.posts:
+            open_model = partial(
+                PostProcessor,
+                post.path,
+                provider,
+                (sizes or {}).get(post.path),
+                confined,
+                values=post.inputs,
+                where=f"{post.where}.inputs",
+                animation=None if scene.span is None else Animation(scene.span, post.keys),
+            )
+            models.append(locate_errors(open_model, f"{post.where}.path"))
+            exit_stack.callback(models[-1].close)
+        exit_stack.pop_all()  # from here on the caller closes the models
+    return models
 
 
 def _post_process_manifest(name: str, facts: "ModelFacts") -> PostProcessManifest:

@@ -1,24 +1,36 @@
 """Places a source of Gaussians or meshes in the world, with its own drawing settings."""
 
-__all__ = ["DrawSettings", "PlacedSource", "local_camera"]
+__all__ = ["DrawSettings", "PlacedSource", "fixed_and_keyed", "local_camera"]
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar, final
+from typing import Literal, Protocol, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
 from gsgen.runtime.scene.splat_pool import PooledSplatSet
-from gsgen.runtime.sources.key_frames import Animation, KeyFrames
-from gsgen.runtime.sources.source import Source, SourceShortfall, Values
+from gsgen.runtime.sources.key_frames import Animation
+from gsgen.runtime.sources.source import Source, SourceShortfall, Values, named
 
 Value = TypeVar("Value")
+
+
+class ModelInputs(Protocol):
+    """A model with inputs: a source of Gaussians, or a post-process model."""
+
+    @property
+    def inputs(self) -> Sequence[Input]:
+        """The model inputs that a caller may set."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of an input tensor."""
 
 
 @final
@@ -67,12 +79,8 @@ class PlacedSource(Source):
     ) -> None:
         self._wrapped_source, self._settings = inner, settings or DrawSettings()
         self._placement_transform = np.array(transform, np.float64)
-        self._fixed_values = _values_by_name(inner, values or {}, where)
-        self.animation = inner.animation
-        if animation is not None:
-            keys = _values_by_name(inner, animation.keys, where)
-            _require_sizes(inner, keys, where)
-            self.animation = replace(animation, keys=keys)
+        self._fixed_values, own_animation = fixed_and_keyed(inner, values, animation, where)
+        self.animation = own_animation or inner.animation
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._settings.antialias or inner.antialias
         self.weighted = None if self._settings.sorted else inner.weighted
@@ -191,22 +199,34 @@ class PlacedSource(Source):
         self._wrapped_source.close()
 
 
-def _require_sizes(source: Source, keys: Mapping[str, KeyFrames], where: str) -> None:
-    """Raise if key frames have more or fewer numbers than their inputs."""
-    for input_name, key_frames in keys.items():
-        shape, count = source.shape(input_name), key_frames.values.shape[1]
-        if count != math.prod(shape):
-            raise SceneInvalid(
-                f"has {count} numbers, expected {math.prod(shape)}", where=f"{where}.{input_name}"
-            )
+def fixed_and_keyed(
+    model: ModelInputs, values: Values | None, animation: Animation | None, where: str
+) -> tuple[dict[str, object], Animation | None]:
+    """Return a scene file's values and key frames of a model's inputs, by tensor name.
+
+    Raises:
+        UnknownName: The model has no such input.
+        SceneInvalid: Key frames have more or fewer numbers than their input.
+    """
+    fixed_values = _by_tensor_name(model, values or {}, where)
+    if animation is None:
+        return fixed_values, None
+    keys = _by_tensor_name(model, animation.keys, where)
+    for name, key_frames in keys.items():
+        expected, count = math.prod(model.shape(name)), key_frames.values.shape[1]
+        if count != expected:
+            raise SceneInvalid(f"has {count} numbers, expected {expected}", where=f"{where}.{name}")
+    return fixed_values, replace(animation, keys=keys)
 
 
-def _values_by_name(source: Source, values: Mapping[str, Value], where: str) -> dict[str, Value]:
+def _by_tensor_name(
+    model: ModelInputs, values: Mapping[str, Value], where: str
+) -> dict[str, Value]:
     """Convert names and input roles of model inputs to tensor names, the keys of input values."""
-    known_names = {input_name for spec in source.inputs for input_name in (spec.name, spec.role)}
+    known_names = {input_name for spec in model.inputs for input_name in (spec.name, spec.role)}
     by_name: dict[str, Value] = {}
     for input_name, value in values.items():
-        matches = source.named(input_name)
+        matches = named(model.inputs, input_name)
         if not matches:
             raise UnknownName.among("input", input_name, known_names, where)
         by_name |= {spec.name: value for spec in matches}

@@ -1,6 +1,14 @@
 """Reads scene files: a ``scene.json`` that places models and meshes in one world."""
 
-__all__ = ["SceneAnnotation", "SceneFile", "is_scene_file", "open_scene", "read_scene"]
+__all__ = [
+    "SceneAnnotation",
+    "SceneFile",
+    "ScenePost",
+    "is_scene_file",
+    "locate_errors",
+    "open_scene",
+    "read_scene",
+]
 
 import json
 from collections.abc import Callable, Mapping
@@ -100,6 +108,17 @@ class SceneAnnotation:
 
 
 @final
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenePost:
+    """A post-process model of a scene file, with values and key frames of its inputs."""
+
+    path: Path
+    inputs: Mapping[str, np.ndarray]
+    keys: Mapping[str, KeyFrames]
+    where: str
+
+
+@final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneFile:
     """The contents of a scene file; absent fields are None.
@@ -108,6 +127,7 @@ class SceneFile:
         path: The file.
         models: Splat files and generators, in order.
         meshes: Mesh files, in order.
+        posts: Post-process models that the picture goes through, in order.
         background: Red, green, blue and alpha behind the scene.
         camera: A value of ``--camera``, a camera, or key frames of an orbit (2 or 3 numbers) or of
             an eye and a target (6 numbers).
@@ -123,6 +143,7 @@ class SceneFile:
     path: Path
     models: tuple[SceneModel, ...]
     meshes: tuple[SceneMesh, ...]
+    posts: tuple[ScenePost, ...] = ()
     background: tuple[float, float, float, float] | None = None
     camera: str | Camera | KeyFrames | None = None
     width: int | None = None
@@ -162,13 +183,16 @@ def read_scene(path: str | Path) -> SceneFile:
         refuse(
             "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
         )
+    posts = tuple(_read_post(part, file.parent) for part in fields.parts("posts"))
     camera = _camera(fields, file.parent)
     keyed = [keys for model in models for keys in model.keys.values()]
+    keyed += [keys for post in posts for keys in post.keys.values()]
     keyed += [camera] if isinstance(camera, KeyFrames) else []
     scene_file = SceneFile(
         path=file,
         models=models,
         meshes=meshes,
+        posts=posts,
         background=_background(fields),
         camera=camera,
         width=fields.side("width"),
@@ -249,7 +273,7 @@ def _is_drawn(mesh: SceneMesh) -> bool:
 def _open_model(model: SceneModel, open_file: Callable[[], Source], span: Span | None) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
-    nested_fields = _locate_errors(open_file, f"{model.where}.path")
+    nested_fields = locate_errors(open_file, f"{model.where}.path")
     try:
         return PlacedSource(
             nested_fields,
@@ -269,7 +293,7 @@ def _open_model(model: SceneModel, open_file: Callable[[], Source], span: Span |
 
 
 def _open_mesh(part: SceneMesh) -> Source:
-    meshes = _locate_errors(lambda: read_mesh(part.path), f"{part.where}.path")
+    meshes = locate_errors(lambda: read_mesh(part.path), f"{part.where}.path")
     return MeshSource(
         part.path,
         [
@@ -279,11 +303,13 @@ def _open_mesh(part: SceneMesh) -> Source:
     )
 
 
-def _locate_errors(open_file: Callable[[], Result], where: str) -> Result:
+def locate_errors(open_file: Callable[[], Result], where: str) -> Result:
     """Open a file that a scene file names, and add the location in the scene file to errors."""
     try:
         return open_file()
     except GsgenError as error:
+        if error.where.startswith(where.removesuffix(".path")):
+            raise
         error_where = f"{where}: {error.where}" if error.where else where
         raise error.located(error_where) from error
 
@@ -373,6 +399,13 @@ def _read_annotation(fields: Fields) -> SceneAnnotation:
     )
     fields.close()
     return annotation
+
+
+def _read_post(fields: Fields, folder: Path) -> ScenePost:
+    path = folder / fields.required_text("path")
+    inputs, keys = fields.values_or_keys("inputs")
+    fields.close()
+    return ScenePost(path, inputs, keys, fields.where)
 
 
 def _read_transform(fields: Fields) -> Float[np.ndarray, "4 4"]:

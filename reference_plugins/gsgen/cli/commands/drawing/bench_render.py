@@ -65,7 +65,8 @@ def bench_render(
         refuse_model(output, scene_inputs(files))
     view = scene_viewpoint(files, camera, width, height)
     limits = options.model_limits(timeout, memory, trust=trust)
-    with open_scenes(scenes, provider=provider, size=symbols, limits=limits) as (sources, _):
+    opening = open_scenes(scenes, provider=provider, size=symbols, limits=limits, scene_posts=False)
+    with opening as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
         sequence = FrameSequence(

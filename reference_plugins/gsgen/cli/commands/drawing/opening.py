@@ -12,6 +12,7 @@ __all__ = [
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,18 +61,20 @@ def open_scenes(
     streaming: "StreamSettings | None" = None,
     limits: "Limits | None" = None,
     origin: "Origin | None" = None,
+    scene_posts: bool = True,
 ) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
     """Open scenes and post-process models, print their warnings as notes, and close them.
 
     Args:
         scenes: Splat files, meshes, generators, and scene files.
-        post: Post-process models.
+        post: Post-process models, after those of scene files.
         provider: Execution provider of ONNX Runtime.
         streaming: How tilesets are streamed.
         size: Values of ``--size``; each model gets the sizes of its own open dimensions.
         limits: Limits of the process that runs models; None runs them in this process.
         origin: The point of splat files that positions are relative to; None for one that float32
             needs.
+        scene_posts: Whether to open the post-process models of scene files.
 
     Raises:
         typer.Exit: A file cannot be read; the reason is printed.
@@ -80,14 +83,17 @@ def open_scenes(
     from gsgen.cli.model_options import sizes_of
     from gsgen.cli.progress import clear, progress
     from gsgen.runtime.errors import SceneUnreadable
-    from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.playback.post_process import PostProcessor, open_posts
     from gsgen.runtime.sources.opening import open_source
     from gsgen.runtime.sources.scene_file import open_scene
     from gsgen.runtime.sources.world_origins import align_world_origins
 
     sizes = sizes_of(size)
     files = read_scene_files(scenes)
+    if not scene_posts:
+        files = {path: replace(file, posts=()) for path, file in files.items()}
     model_paths = [model.path for file in files.values() for model in file.models]
+    model_paths += [model.path for file in files.values() for model in file.posts]
     with ExitStack() as exit_stack:
         confined = confined_models([*scenes, *model_paths], post or (), limits, provider)
         if confined is not None:
@@ -112,6 +118,10 @@ def open_scenes(
                     sources += opened_sources
                     for source in opened_sources:
                         exit_stack.callback(source.close)
+                for file in files.values():
+                    for model in open_posts(file, provider, sizes_by_path, confined):
+                        models.append(model)
+                        exit_stack.callback(model.close)
                 for path in post or ():
                     models.append(PostProcessor(path, provider, sizes_by_path.get(path), confined))
                     exit_stack.callback(models[-1].close)

@@ -160,6 +160,7 @@ def render(
         origin=parse_origin(origin),
         streaming=replace(streaming, wait=wait),
         limits=options.model_limits(timeout, memory, trust=trust),
+        scene_posts=options.mode_of(mode) == "color",
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(
             pose, inputs, sources, fps, images=image, image_cameras=image_cameras
