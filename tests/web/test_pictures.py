@@ -8,7 +8,7 @@ import pytest
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
-from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.scene import Scene, SplatSet
 from support.rendering.near_ties import NEAR_TIES
 from support.rendering.splat_scenes import LENSES, SCENES, cloud
 from support.web.pages import WebSite, unpacked
@@ -116,3 +116,31 @@ def test_images_of_all_sizes_sort_their_tiles(
     image, _ = expected(renderer, scene, camera)
     result = drawn(site, scene, camera)
     np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE)
+
+
+def test_an_image_that_changes_its_size_takes_no_new_buffers(site: WebSite) -> None:
+    """A drag through 500 sizes; pictures are those of a renderer that has drawn no other size."""
+    scene = Scene([SplatSet(cloud(300, 5, degree=1))])
+    rng = np.random.default_rng(3)
+    sides = [(150, 110), (40, 30), (149, 109), (33, 64), (150, 1), (1, 110), (96, 97)]
+    cameras = [Camera.look_at([0, 0, -5], [0, 0, 0], width=w, height=h) for w, h in sides]
+    shrinking = rng.integers(1, [151, 111], (500, 2)).tolist()
+    growing = [[16 * i, 12 * i] for i in range(10, 130)]
+    result = site.call(
+        "drawInSizes",
+        {
+            "sets": [set_of(splat_set) for splat_set in scene.sets],
+            "cameras": [camera_of(camera) for camera in cameras],
+            "sizes": shrinking + growing,
+        },
+    )
+    assert result["errors"] == []
+    first, *others = result["frames"]
+    assert first["created"] > 20
+    assert [frame["created"] for frame in others] == [0] * len(others)
+    assert sum(result["created"][: len(shrinking)]) == 0
+    # Image and ranges of tiles, each with a quarter of room; and digits of a longer sort.
+    assert sum(result["created"][len(shrinking) :]) <= 2 * 24 + 10
+    for frame, camera in zip(result["frames"], cameras, strict=True):
+        image = unpacked(frame["image"], np.float32).reshape(camera.height, camera.width, 4)
+        np.testing.assert_array_equal(image, drawn(site, scene, camera)["color"])

@@ -247,3 +247,39 @@ export async function tilesetFrames(address, cameras, options) {
   model.destroy();
   return { frames, failures, extent: model.extent, up: model.up, errors: errors.splice(0) };
 }
+
+/** Draw sets in several sizes with one renderer; return the images, and how many buffers each size took. */
+export async function drawInSizes({ sets, cameras, sizes }) {
+  const { plans, device, errors, kernels } = await opening();
+  const placed = sets.map(({ splats, ...rest }) => {
+    return { buffers: SplatBuffers.of(device, plans, splatsOf(splats)), ...rest };
+  });
+  const renderer = new Renderer(kernels);
+  renderer.setScene(placed);
+  const { createBuffer } = device;
+  let labels = [];
+  device.createBuffer = (description) => {
+    labels.push(description.label);
+    return createBuffer.call(device, description);
+  };
+  const counted = async (camera) => {
+    labels = [];
+    await renderer._configure(camera, ["color"], 0);
+    return labels.length;
+  };
+  const frames = [];
+  try {
+    for (const camera of cameras) {
+      const created = await counted(camera);
+      await renderer.drawWhole(camera, { outputs: ["color"] });
+      frames.push({ created, image: textOf(await renderer.readImage("color")) });
+    }
+    const created = [];
+    for (const [width, height] of sizes) created.push(await counted({ ...cameras[0], width, height }));
+    return { frames, created, errors: errors.splice(0) };
+  } finally {
+    delete device.createBuffer;
+    renderer.destroy();
+    for (const { buffers } of placed) buffers.destroy();
+  }
+}

@@ -2,7 +2,7 @@
  * Executes frame plans on a GPU device.
  *
  * Pipelines are compiled once per device, and all at once. Buffers and bind groups belong to one
- * drawing; a change of a size makes only those anew whose formulas have another value.
+ * drawing. Buffers only grow: a smaller image has parts of them.
  */
 
 import { GsgenError } from "./errors.js";
@@ -29,6 +29,11 @@ const BINDING_TYPES = { u: "uniform", r: "read-only-storage", w: "storage" };
  * @typedef {{outputs: string[], panorama: boolean, deep: boolean, weighted: boolean,
  *     layers: number, width: number, height: number, pairs: number, pages: Page[]}} Drawing
  */
+
+const ROOM = 1.25; // of a buffer that grows: its new size to the last one
+
+/** Return what plans have in common that draw the same in several sizes. @param {import("./plan.js").Plan} plan */
+const shapeOf = ({ outputs, panorama, deep, weighted, layers }) => JSON.stringify([outputs, panorama, deep, weighted, layers]);
 
 /** Return the first page of each set. @param {Page[]} pages */
 const setsOf = (pages) => pages.filter((page) => page.firstRow === 0);
@@ -72,6 +77,25 @@ export class KernelCache {
       const compute = { module: this.module(module), entryPoint: entry };
       return this.device.createComputePipelineAsync({ label, layout, compute });
     });
+  }
+
+  /**
+   * Return a dispatch of a kernel that stands in the plans by itself.
+   * @param {{pipeline: number, groups: import("./plan.js").Formula[]}} kernel
+   * @param {import("./plan.js").Sizes} sizes
+   * @param {GPUBufferBinding[][]} groups The resources of each bind group.
+   */
+  async step({ pipeline, groups: counts }, sizes, ...groups) {
+    const kinds = this.plans.pipelines[pipeline].groups;
+    const bind = (resources, index) => {
+      const entries = resources.map((resource, binding) => ({ binding, resource }));
+      return this.device.createBindGroup({ layout: this.layout(kinds[index]), entries });
+    };
+    return {
+      pipeline: await this.pipeline(pipeline),
+      groups: groups.map(bind),
+      counts: counts.map((count) => evaluate(count, sizes)),
+    };
   }
 
   /** The pipeline that shows an image on a canvas, whose format is the same for all canvases. */
@@ -174,18 +198,23 @@ export class PlanHost {
     });
   }
 
-  /** Make the buffers whose size changed, and release those that the plan lacks. */
+  /** Make the buffers that are too small, and release those that such drawings lack. */
   _allocate(plan, sizes) {
+    const isSameShape = this.plan && shapeOf(this.plan) === shapeOf(plan);
     for (const [row, buffer] of this._buffers) {
-      if (!plan.buffers.includes(row) || buffer.size !== evaluate(this.plans.buffers[row].size, sizes)) {
-        buffer.destroy();
-        this._buffers.delete(row);
-      }
+      if (isSameShape || plan.buffers.includes(row)) continue;
+      buffer.destroy();
+      this._buffers.delete(row);
     }
     for (const row of plan.buffers) {
       const { label, size, usage, data, sizes: words = [] } = this.plans.buffers[row];
-      const isNew = !this._buffers.has(row);
-      if (isNew) this._buffers.set(row, this._create(label, evaluate(size, sizes), usage));
+      const last = this._buffers.get(row);
+      const bytes = evaluate(size, sizes);
+      const isNew = !last || last.size < bytes;
+      if (isNew) {
+        last?.destroy();
+        this._buffers.set(row, this._create(label, bytes, last?.size ?? 0, usage));
+      }
       if (data && (isNew || words.length)) {
         const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
         const view = new DataView(bytes.buffer);
@@ -195,7 +224,8 @@ export class PlanHost {
     }
   }
 
-  _create(label, size, usage) {
+  /** Create a buffer; one that grows gets room, so that it seldom does. */
+  _create(label, size, last, usage) {
     const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
     const most = Math.min(maxStorageBufferBindingSize, maxBufferSize);
     if (size > most) {
@@ -204,7 +234,8 @@ export class PlanHost {
         hint: "Show fewer Gaussians or a smaller image.",
       });
     }
-    return this.device.createBuffer({ label, size, usage });
+    const roomy = Math.min(16 * Math.ceil((ROOM * last) / 16), most);
+    return this.device.createBuffer({ label, size: Math.max(size, roomy), usage });
   }
 
   _buffer(row) {
@@ -219,7 +250,9 @@ export class PlanHost {
     const resources = entries.map(([name, offset, size]) => {
       const first = typeof name === "string" ? (page[`${name}Offset`] ?? 0) : 0;
       const buffer = typeof name === "string" ? page[name] : this._buffer(name);
-      const bytes = size === null ? buffer.size : evaluate(size, sizes);
+      // Shaders measure what is bound: of a buffer that has room, only the part in use.
+      const whole = typeof name === "string" ? buffer.size : this.plans.buffers[name].size;
+      const bytes = evaluate(size ?? whole, sizes);
       return { buffer, offset: first + evaluate(offset, sizes), size: bytes };
     });
     const known = this._groups.get(key);

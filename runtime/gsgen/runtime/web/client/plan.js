@@ -64,7 +64,7 @@ export function choosePlan(plans, shape, sizes) {
   if (!found) {
     throw new GsgenError(`no frame plan draws ${outputs} at ${sizes.width}×${sizes.height}`, {
       where: "image",
-      hint: "Show a smaller element, or set a smaller `resolution`.",
+      hint: "Show a smaller element.",
     });
   }
   return found;

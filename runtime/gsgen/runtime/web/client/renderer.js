@@ -175,8 +175,8 @@ export class Renderer {
 
   /** Read an image back: four numbers per pixel, row by row. @returns {Promise<Float32Array>} */
   readImage(output) {
-    const image = this.host.image(output);
-    return readBuffer(this.device, image, Float32Array, image.size / 4);
+    const { width, height } = this.host.sizes;
+    return readBuffer(this.device, this.host.image(output), Float32Array, 4 * width * height);
   }
 
   /** Read four numbers of a pixel back. @returns {Promise<Float32Array>} */
