@@ -6,6 +6,7 @@ from jaxtyping import Float, Float16, Float32, Shaped, UInt32
 from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT_LIGHT
 from gsgen.runtime.kernels.raster.mesh_place import TO_LINEAR, TO_SRGB
 from gsgen.runtime.kernels.shared.shader import NOWHERE
+from gsgen.runtime.playback.image_tiling import Network, run_tiled
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import MeshData
 
@@ -129,3 +130,31 @@ def import_reference(
     shown = straight_color if picture["is_encoded"] else encoded
     layer = np.concatenate([alpha * shown, alpha], axis=-1)
     return layer, np.where(alpha[..., 0] > 0, depth, NOWHERE)
+
+
+def network_reference(
+    region: Shaped[np.ndarray, ""],
+    image: Float32[np.ndarray, "h w 4"],
+    network: Network,
+    dtype: type[np.float16 | np.float32],
+    overlap: int,
+) -> tuple[Float[np.ndarray, "1 c h w"], Float[np.ndarray, "h w 4"]]:
+    """Return what a network sees of an image, and the image that it makes of it, in float64.
+
+    The reference of ``image_to_tensor.wgsl`` and ``tensor_to_image.wgsl``, whose uniform is
+    ``region``.
+    """
+    channels, low, high = (region[name].item() for name in ("channels", "low", "high"))
+    pixels = image.astype(np.float64)
+    alpha = pixels[..., 3:] + (1 - pixels[..., 3:]) * region["background_alpha"]
+    alpha = np.clip(alpha, 0, 1)
+    straight = np.clip(pixels[..., :3] / np.where(alpha > 0, alpha, 1), 0, 1)
+    straight = srgb_of_linear(straight) if region["is_linear"] else straight
+    numbers = np.concatenate([straight, alpha], -1)[..., :channels].transpose(2, 0, 1)[None]
+    seen = (low + (high - low) * numbers).astype(dtype)
+    tile = int(region["tile"][1]), int(region["tile"][0])
+    result = run_tiled(seen, network, tile, overlap).astype(np.float64)
+    color = ((result - low) / (high - low))[0].transpose(1, 2, 0)
+    if color.shape[2] == 4:
+        alpha = np.clip(color[..., 3:], 0, 1)
+    return seen, np.concatenate([color[..., :3] * alpha, alpha], -1)

@@ -1,6 +1,6 @@
 """Kernels that only the browser's frame plans have; their shaders are in the runtime."""
 
-__all__ = ["PICTURE", "ImportLayer", "LiveCounts", "RepackRows"]
+__all__ = ["IMAGE_TILE", "PICTURE", "ImageTensors", "ImportLayer", "LiveCounts", "RepackRows"]
 
 from typing import Final, final
 
@@ -29,6 +29,40 @@ PICTURE: Final = np.dtype(
     }
 )
 """The bytes of ``struct Picture`` in import_layer.wgsl."""
+
+IMAGE_TILE: Final = np.dtype(
+    {
+        "names": [
+            *("size", "tile", "corner", "channels", "is_linear"),
+            *("low", "high", "background_alpha"),
+        ],
+        "formats": ["2u4", "2u4", "2u4", "u4", "u4", "f4", "f4", "f4"],
+        "offsets": [0, 8, 16, 24, 28, 32, 36, 40],
+        "itemsize": 48,
+    }
+)
+"""The bytes of ``struct ImageTile`` in image_tile.wgsl."""
+
+
+@final
+class ImageTensors:
+    """Kernels that copy a drawn image into a network's input, and its output into an image.
+
+    ``fill`` is in ``image_to_tensor.wgsl``, ``add`` and ``finish`` in ``tensor_to_image.wgsl``.
+
+    Args:
+        device: Device of the kernels.
+        half: Whether the tensor is float16.
+    """
+
+    def __init__(self, device: Device, *, half: bool) -> None:
+        self.fill = Kernel(
+            device, "image_to_tensor", "fill", ("urw",), HALF=half, THREADS=THREADS_PER_WORKGROUP
+        )
+        self.add, self.finish = (
+            Kernel(device, "tensor_to_image", entry, groups, HALF=half)
+            for entry, groups in (("add", ("uwrrw",)), ("finish", ("uwrrw", "r")))
+        )
 
 
 @final

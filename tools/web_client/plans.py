@@ -18,12 +18,20 @@ from gsgen.runtime.kernels.shared.counts import COUNTERS_BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
+from gsgen.runtime.playback.post_process import TILE_OVERLAP
 from gsgen.runtime.renderer.renderer import FIRST_PAIR_CAPACITY, PAIR_CAPACITY_FACTOR
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import PRESENT_CONSTANTS, PRESENT_UNIFORM
-from web_client.browser_kernels import PICTURE, ImportLayer, LiveCounts, RepackRows
+from web_client.browser_kernels import (
+    IMAGE_TILE,
+    PICTURE,
+    ImageTensors,
+    ImportLayer,
+    LiveCounts,
+    RepackRows,
+)
 from web_client.formulas import Formula
 from web_client.plan_tables import PlanTables, module_row
 from web_client.recording import APPEARANCES, Shape, page_kind, record, recorded_pool_pages
@@ -79,6 +87,7 @@ def plans_document() -> dict[str, Any]:
             "page": _fields(PAGE),
             "showing": _fields(PRESENT_UNIFORM),
             "picture": _fields(PICTURE),
+            "region": _fields(IMAGE_TILE),
             "slot": _fields(SLOT_UNIFORM_DTYPE),
         },
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": COUNTERS_BYTES},
@@ -93,6 +102,7 @@ def plans_document() -> dict[str, Any]:
         ],
         "generators": generators,
         "layers": layers,
+        "posts": _post_kernels(tables),
         "pools": pool_kinds(tables),
         "pairs": {
             "first": FIRST_PAIR_CAPACITY,
@@ -156,6 +166,24 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
     live = LiveCounts(device).kernel
     counts = {"pipeline": tables.pipeline(live.pipeline), "groups": [1, 1, 1]}
     return {"repacks": repacks, "live_counts": counts}
+
+
+def _post_kernels(tables: PlanTables) -> dict[str, Any]:
+    """Return JSON of the GPU kernels between images and the tensors of networks, by dtype."""
+    device = Device(RecordingDevice())
+    tiles = [["ceil_div", side, TILE] for side in ("width", "height")]
+    kernels = {}
+    for dtype in ("float32", "float16"):
+        own = ImageTensors(device, half=dtype == "float16")
+        kernels[dtype] = {
+            "fill": {
+                "pipeline": tables.pipeline(own.fill.pipeline),
+                "groups": [["ceil_div", "groups", "rows"], "rows", 1],
+            },
+            "add": {"pipeline": tables.pipeline(own.add.pipeline), "groups": [*tiles, 1]},
+            "finish": {"pipeline": tables.pipeline(own.finish.pipeline), "groups": [*tiles, 1]},
+        }
+    return {"kernels": kernels, "threads": THREADS_PER_WORKGROUP, "overlap": TILE_OVERLAP}
 
 
 def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:

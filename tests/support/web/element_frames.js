@@ -8,6 +8,7 @@ async ([name, frames]) => {
   element._requestFrame = () => {};
   cancelAnimationFrame(element._frameRequest);
   while (element._isDrawing) await pause();
+  clearTimeout(element._rest);
   const { errors } = element.report;
   if (errors.length) return { error: JSON.stringify(errors), errors };
   const { readBuffer } = await import("gsgen/gpu_buffers.js");

@@ -1,6 +1,6 @@
 """Runs post-process models: networks that change the colours of a drawn frame."""
 
-__all__ = ["PostProcessor", "open_posts"]
+__all__ = ["TILE_OVERLAP", "PostProcessor", "open_posts"]
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.bound.model_facts import ModelFacts
     from gsgen.sdk.binding.confined.models import ConfinedModels
 
-_TILE_OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
+TILE_OVERLAP: Final = 32
+"""Pixels that tiles of an image share; small tiles share fewer."""
 
 
 @final
@@ -172,7 +173,7 @@ class PostProcessor:
 
         height, width = session.inputs[self._image].shape[2:]
         if (height, width) != image.shape[2:]:
-            overlap = min(_TILE_OVERLAP, (min(height, width) - 1) // 2)
+            overlap = min(TILE_OVERLAP, (min(height, width) - 1) // 2)
             return run_tiled(image, network, (height, width), overlap)
         return network(image)
 

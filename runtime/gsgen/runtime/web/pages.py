@@ -161,7 +161,9 @@ class PageFile:
 
 
 def files_shown(paths: Iterable[Path]) -> list[PageFile]:
-    """Return the files that a page shows: those of scene files, models first, and the others.
+    """Return the files that a page shows: those of scene files, and the others.
+
+    Of a scene file first the models, then the meshes, then the post-process models.
 
     Raises:
         SceneUnreadable: A scene file cannot be read.
@@ -173,16 +175,17 @@ def files_shown(paths: Iterable[Path]) -> list[PageFile]:
             scene = read_scene(path)
             shown += [PageFile(model.path) for model in scene.models]
             shown += [PageFile(mesh.path, is_mesh=True) for mesh in scene.meshes]
+            shown += [PageFile(post.path) for post in scene.posts]
         else:
             shown.append(PageFile(path))
     return shown
 
 
 def scene_bytes(path: Path, addresses: Sequence[str]) -> bytes:
-    """Return a scene file whose models and meshes have other addresses, one for each."""
+    """Return a scene file whose files have other addresses, one for each of ``files_shown``."""
     document = json.loads(path.read_text("utf-8"))
     remaining = iter(addresses)
-    for field in ("models", "meshes"):
+    for field in ("models", "meshes", "posts"):
         document[field] = [
             {**(part if isinstance(part, dict) else {}), "path": next(remaining)}
             for part in document.get(field) or []

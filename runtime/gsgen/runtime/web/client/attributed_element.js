@@ -11,6 +11,7 @@ import { nearestWord } from "./words.js";
  * @property {string} name The file's name, for messages.
  * @property {string} poster Address of a picture that is shown until the model is.
  * @property {string} images Addresses of the pictures that a generator computes its Gaussians from.
+ * @property {string} posts Addresses of post-process models that the picture goes through.
  * @property {"eager" | "lazy"} loading
  * @property {boolean} cameraControls Whether visitors turn the camera.
  * @property {boolean} fileDrop Whether visitors drop files.
@@ -26,6 +27,7 @@ import { nearestWord } from "./words.js";
  * @property {number} rotationPerSecond Degrees.
  * @property {string} up The world's upward axis, such as `-y`.
  * @property {string} background
+ * @property {number} minRenderScale Of width and height, of slow frames that change; 1 is all pixels.
  * @property {"color" | "depth" | "median" | "normal" | "alpha"} mode
  * @property {"webgpu" | "core" | "gsgen" | "visionary"} target Whose limits generators are checked for.
  * @property {number | null} maxError Of tilesets, in pixels.

@@ -11,6 +11,7 @@ import { canShow, sourceFile } from "./source_files.js";
 
 const MINUTE = 60_000; // milliseconds
 const MOST_LOSSES = 6; // of the device within a minute, after which the element gives up
+const REST = 200; // milliseconds after the last frame, until that which stays is drawn
 const LOSS_DELAY = 100; // milliseconds from an error of a lost device to the news of its loss
 const MOST_FAILED_FRAMES = 3; // one after the other, of a time that plays
 const NEW_HOME = ["camera-orbit", "camera-target", "up"];
@@ -44,6 +45,9 @@ export class GsgenModel extends ModelControls {
     this._losses = [];
     this._failedFrames = 0;
     this._frameRequest = 0;
+    this._drawnAt = -Infinity;
+    /** @type {any} */
+    this._rest = null; // the timer of the frame that stays
     this._isVisible = false;
     this._isDrawing = false;
     this._isMissed = false;
@@ -102,6 +106,7 @@ export class GsgenModel extends ModelControls {
     if (!this.isConnected || before === now) return;
     const { _playback: playback, _shown: shown } = this;
     if (name === "src" || name === "images") this._sourceChanged();
+    else if (name === "posts") this._usePosts();
     else if (name === "alt" || name === "camera-controls") this._describe();
     else if (name === "poster" && !shown) this._view.showPoster(this.poster);
     else if (name === "loading" && this.loading === "eager") this._loadIfPending();
@@ -222,6 +227,7 @@ export class GsgenModel extends ModelControls {
   /** Release the model, but for its camera and time: it may come back. */
   _release() {
     cancelAnimationFrame(this._frameRequest);
+    clearTimeout(this._rest);
     this._frameRequest = 0;
     if (this._shown) {
       const { file, orbit, playback, camera } = this._shown;
@@ -302,6 +308,18 @@ export class GsgenModel extends ModelControls {
     this._present(this._look());
     this._succeed();
     this._requestFrame();
+    this._usePosts();
+  }
+
+  /** The post-process models that the picture goes through: those of a scene, and of `posts`. */
+  async _usePosts() {
+    const { _shown: shown } = this;
+    const own = this._valueOf("posts").map((address) => ({ address, where: address, inputs: {} }));
+    await shown?.usePosts([...(shown.model.posts ?? []), ...own], this.target, ({ message, hint }) => {
+      this._complain("posts", [message, hint].filter(Boolean).join(" "));
+    });
+    this._checkInputs();
+    this._requestFrame();
   }
 
   /** Give a model its camera and its time: its own of before, or those of the attributes. */
@@ -348,13 +366,15 @@ export class GsgenModel extends ModelControls {
 
   _requestFrame() {
     if (this._frameRequest || !this._shown || !this._isVisible) return;
+    clearTimeout(this._rest);
     this._frameRequest = requestAnimationFrame((now) => {
       this._frameRequest = 0;
       this._draw(now);
     });
   }
 
-  async _draw(now) {
+  /** @param {boolean} [isFinal] Whether the frame is drawn as it stays. */
+  async _draw(now, isFinal = false) {
     const { _shown: shown } = this;
     const [width, height] = this._size();
     if (!shown || !width || !height) return;
@@ -367,15 +387,22 @@ export class GsgenModel extends ModelControls {
       if (shown.playback?.advance(now)) this._timeChanged();
       this._rotate(now);
       const look = this._look();
-      await shown.draw(width, height, look);
+      // A frame that comes soon after another one is one of a movement.
+      const isMoving = performance.now() - this._drawnAt < REST;
+      if (isFinal) await shown.drawFinal(width, height, look);
+      else await shown.draw(width, height, look, isMoving ? this.minRenderScale : 1);
       if (this._shown === shown) this._present(look);
     } catch (error) {
       await this._failFrame(error, shown);
     } finally {
       this._isDrawing = false;
+      this._drawnAt = performance.now();
     }
     const plays = shown.playback && !shown.playback.paused && this._failedFrames < MOST_FAILED_FRAMES;
     if (this._isMissed || plays) this._requestFrame();
+    else if (!this._frameRequest && !shown.isFinal(this._look())) {
+      this._rest = setTimeout(() => this._draw(performance.now(), true), REST);
+    }
     this._isMissed = false;
   }
 

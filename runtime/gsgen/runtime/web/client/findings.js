@@ -7,6 +7,11 @@ import { Message } from "./onnx_file.js";
 /** @typedef {{rule: string, severity: string, where: string, actual: string, expected: string,
  *     hint: string, certainty: string, limit: string}} PageFinding */
 
+const KIND_HINTS = {
+  "gaussian-generator": "Show a generator; models that change pictures go into the attribute posts.",
+  "post-process": "Show it by the attribute src; posts are models that change pictures.",
+};
+
 /** Return what rules read of a model: its file, graph and manifest. @param {Uint8Array} bytes */
 export function inspected(bytes, { name = "model", target = "webgpu" } = {}) {
   const proto = new Message(contract.MESSAGES, "onnx.ModelProto", bytes);
@@ -39,10 +44,11 @@ export function findingsOf(subject) {
 }
 
 /**
- * Return what is known of a generator before it runs; throw where it breaks a rule.
+ * Return what is known of a model before it runs; throw where it breaks a rule.
  * @param {Uint8Array} bytes
+ * @param {string} [kind] What the model has to be.
  */
-export function inspectedGenerator(bytes, name, target) {
+export function inspectedModel(bytes, name, target, kind = "gaussian-generator") {
   const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
   let subject, findings;
   try {
@@ -61,8 +67,8 @@ export function inspectedGenerator(bytes, name, target) {
       where: name, hint: `${hint} ${command}`, rule, findings,
     });
   }
-  const { kind, manifest: { extensions_required: required } } = subject;
-  if (!subject.generator) fail(`is a ${kind}, expected a gaussian-generator`, "Show a generator.");
+  const { extensions_required: required } = subject.manifest;
+  if (subject.kind !== kind) fail(`is a ${subject.kind}, expected a ${kind}`, KIND_HINTS[kind]);
   if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
   return { subject, manifest: JSON.parse(subject.file.manifest_text), findings };
 }

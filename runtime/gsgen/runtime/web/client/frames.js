@@ -82,8 +82,8 @@ function stillFrames({ rows, appearance, channels, space, count, antialias, colo
 
 /** @returns {Promise<Frames>} */
 async function generatorFrames(bytes, name, provider) {
-  const { inspectedGenerator } = await import("./findings.js");
-  const { subject, manifest, findings } = inspectedGenerator(bytes, name);
+  const { inspectedModel } = await import("./findings.js");
+  const { subject, manifest, findings } = inspectedModel(bytes, name);
   const { gaussians, appearance, count } = manifest.outputs;
   if (manifest.blend === "wsr") {
     failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a weighted sum, expected sorted Gaussians");

@@ -6,15 +6,14 @@
  */
 
 import { failing } from "./errors.js";
-import { inspectedGenerator } from "./findings.js";
+import { inspectedModel } from "./findings.js";
 import { SURVEY_CAMERA, surveyedValues, timeOf, upOf } from "./generator_inputs.js";
-import { GeneratorSession } from "./generator_session.js";
+import { ModelSession } from "./model_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { IDENTITY } from "./matrices.js";
 import { extentOf, mergedExtent } from "./model.js";
 import { pictureValues } from "./pictures.js";
-import { evaluate } from "./plan.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
 
 /** The outputs of a session as pages. */
@@ -88,15 +87,8 @@ class GeneratorBuffers {
     await this._add(plans.generators.live_counts, 1, source, { buffer: this.liveCounts });
   }
 
-  async _add({ pipeline, groups }, capacity, ...resources) {
-    const { plans, device } = this._kernels;
-    const layout = this._kernels.layout(plans.pipelines[pipeline].groups[0]);
-    const entries = resources.map((resource, binding) => ({ binding, resource }));
-    this._commands.push({
-      pipeline: await this._kernels.pipeline(pipeline),
-      groups: [device.createBindGroup({ layout, entries })],
-      counts: groups.map((count) => evaluate(count, { capacity })),
-    });
+  async _add(kernel, capacity, ...resources) {
+    this._commands.push(await this._kernels.step(kernel, { capacity }, resources));
   }
 
   /** Encode the copies of a frame. @param {GPUCommandEncoder} encoder */
@@ -116,8 +108,8 @@ export class GeneratorModel {
     if (kernels.openGenerator) return kernels.openGenerator(data, name); // without WebGPU
     const { target, pictures = [] } = options;
     const bytes = new Uint8Array(data);
-    const { subject, manifest, findings } = inspectedGenerator(bytes, name, target);
-    const session = await GeneratorSession.open(kernels, bytes, subject, manifest, name);
+    const { subject, manifest, findings } = inspectedModel(bytes, name, target);
+    const session = await ModelSession.open(kernels, bytes, subject, manifest, name);
     const model = new GeneratorModel(kernels, session, manifest);
     model.findings = findings;
     if (pictures.length) await model._takePictures(pictures, name);

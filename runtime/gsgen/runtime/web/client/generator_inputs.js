@@ -124,7 +124,7 @@ export class GeneratorInputs {
       const stored = makeTensor(name, type, dims);
       this._inputs.set(name, { spec, type, size, stored, last: "" });
       this.feeds[name] = stored.tensor;
-      this._write(name, defaultOf(spec, dims));
+      if (spec.role !== "image") this._write(name, defaultOf(spec, dims));
     }
   }
 

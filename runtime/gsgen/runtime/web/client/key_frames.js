@@ -1,5 +1,10 @@
 /** Key frames: numbers that go from one value to the next, as scene files say when. */
 
+import { GsgenError } from "./errors.js";
+import { nearestWord } from "./words.js";
+
+const INDICES = ["frame_index", "appearance_id"]; // roles of whole numbers
+
 /** How far a value is between two key frames, of how much of the time has passed. */
 export const EASINGS = {
   linear: (share) => share,
@@ -24,4 +29,29 @@ export function valueAt(/** @type {KeyFrame[]} */ keys, /** @type {number} */ se
   const [from, to] = [keys[next - 1], keys[next]];
   const share = EASINGS[from.easing]((seconds - from.at) / (to.at - from.at));
   return from.value.map((number, i) => number + (to.value[i] - number) * share);
+}
+
+/** Return the values of inputs with key frames at a time, and those of the others. */
+export function inputsAt(inputs, seconds, { inputs: specs }) {
+  const [keyed, fixed] = [{}, {}];
+  for (const [name, value] of Object.entries(inputs)) {
+    if (!isKeyed(value)) fixed[name] = value;
+    else {
+      const numbers = valueAt(value.keys, seconds);
+      const spec = specs.find((each) => each.name === name) ?? specs.find((each) => each.role === name);
+      keyed[spec.name] = INDICES.includes(spec.role) ? numbers.map(Math.round) : numbers;
+    }
+  }
+  return [keyed, fixed];
+}
+
+/** Refuse values of inputs that a model lacks. */
+export function checkInputs(inputs, { inputs: specs }, where) {
+  const known = specs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
+  for (const name of Object.keys(inputs)) {
+    if (known.includes(name)) continue;
+    const nearest = nearestWord(name, known);
+    const hint = nearest ? `Is ${nearest} meant?` : `It has ${known.join(", ") || "none"}.`;
+    throw new GsgenError("is no input of the model", { where: `${where}.inputs.${name}`, hint });
+  }
 }

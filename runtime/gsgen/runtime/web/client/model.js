@@ -26,6 +26,7 @@ export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a mode
  * @property {number} [missingPictures] How many pictures the model needs before it can be shown.
  * @property {any} [manifest] Of generators, with the findings of rules.
  * @property {any[]} [findings]
+ * @property {import("./post_process.js").Post[]} [posts] Of scenes.
  * @property {number[] | null} [background] Of scenes: red, green, blue and alpha.
  * @property {Partial<import("./orbit_camera.js").Orbit> & {view?: number[]}} [camera] Of scenes: the first one.
  * @property {import("./scene_file.js").SceneAnnotation[]} [annotations] Of scenes.

@@ -189,7 +189,7 @@ export class ModelControls extends AttributedElement {
   /** Tell which inputs the model lacks. */
   _checkInputs() {
     if (!this._shown) return;
-    const { inputs } = this._shown.model;
+    const { inputs } = this._shown;
     const known = inputs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
     const names = inputs.map(({ name }) => name).join(", ");
     for (const name of Object.keys(this._inputs)) {

@@ -87,13 +87,14 @@ export const runInTurn = inTurns();
  * @param {GPUDevice} device
  * @returns {Promise<any>} The session; null if the model cannot be captured as a graph.
  */
-export async function openSession(ort, device, bytes, name, { capture }) {
+export async function openSession(ort, device, bytes, name, capture, /** Of open dimensions. @type {Record<string, number>} */ sizes = {}) {
   // Both are needed: the provider's option is what runs, the setting is what `env` tells.
   ort.env.webgpu.device = device;
   const options = {
     executionProviders: [{ name: "webgpu", device }],
     preferredOutputLocation: "gpu-buffer",
     enableGraphCapture: capture,
+    freeDimensionOverrides: sizes,
   };
   return createSession(ort, bytes, name, options, (refusal) => capture && /graph capture/i.test(refusal));
 }

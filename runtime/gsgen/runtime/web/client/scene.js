@@ -31,7 +31,9 @@ export class GsgenScene extends GsgenModel {
     const [width, height] = this._size();
     if (!stage || !orbit || !shown) return null;
     const camera = width && height ? shown.orbit.camera(width, height) : (shown.camera ?? undefined);
-    return { ...stage.toJSON(camera, orbit), background: this._look().background };
+    const document = stage.toJSON(camera, orbit);
+    const posts = [...(document.posts ?? []), ...this._valueOf("posts")];
+    return { ...document, ...(posts.length ? { posts } : {}), background: this._look().background };
   }
 
   _candidates() {

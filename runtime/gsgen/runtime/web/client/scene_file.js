@@ -128,6 +128,7 @@ export function readScene(document, name, warn) {
   if (version && version.split(".")[0] !== VERSION) fields.refuse("gsgen_scene", `is ${version}, expected ${VERSION}.0`);
   const models = fields.parts("models").map(modelOf);
   const meshes = fields.parts("meshes").map(meshOf);
+  const posts = fields.parts("posts").map(postOf);
   if (!models.length && !meshes.length) {
     throw new GsgenError("the scene file has neither models nor meshes", { where: name, hint: "Name a file in `models`." });
   }
@@ -140,7 +141,7 @@ export function readScene(document, name, warn) {
   const background = backgroundOf(fields);
   const annotations = fields.parts("annotations").map((part) => annotationOf(part, up));
   const timeline = fields.nested("timeline");
-  const keyed = [camera, ...models.flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
+  const keyed = [camera, ...[...models, ...posts].flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
   const last = Math.max(0, ...keyed.flatMap(({ keys }) => keys.map(({ at }) => at)));
   const seconds = timeline?.read("seconds", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? last;
   timeline?.read("fps", within(0.1, 100), "a number from 0.1 to 100");
@@ -148,7 +149,7 @@ export function readScene(document, name, warn) {
   timeline?.close();
   if (timeline && !seconds) timeline.refuse("seconds", "is 0, expected a number above 0, or key frames");
   fields.close();
-  return { models, meshes, annotations, camera, background, up, fieldOfView, seconds, loop };
+  return { models, meshes, posts, annotations, camera, background, up, fieldOfView, seconds, loop };
 }
 
 /** @param {Fields} fields @returns {SceneModel} */
@@ -196,6 +197,12 @@ function annotationOf(fields, up) {
   const annotation = { position, text: fields.required("text"), normal, camera: camera && orbitOf(placeOf(camera), up) };
   fields.close();
   return annotation;
+}
+
+function postOf(fields) {
+  const post = { path: fields.required("path"), inputs: inputsOf(fields), where: fields.where };
+  fields.close();
+  return post;
 }
 
 /** Return the place of an object: its matrix, or first scaled, then turned, then moved. */

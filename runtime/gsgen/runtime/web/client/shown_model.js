@@ -2,6 +2,7 @@
 
 import { unproject } from "./camera.js";
 import { GsgenError } from "./errors.js";
+import { Governor } from "./governor.js";
 import { linearPart, normalized, times, transposed } from "./matrices.js";
 import { inTurns } from "./once.js";
 import { OrbitCamera } from "./orbit_camera.js";
@@ -57,6 +58,15 @@ export class ShownModel {
     this.camera = null;
     this.isStale = true; // the Gaussians are those of other inputs
     this.isDestroyed = false;
+    this._governor = new Governor();
+    this._doneAt = 0; // when the last frame was measured
+    this._isReduced = false;
+    /** @type {import("./post_process.js").Posts | null} */
+    this._posts = null;
+    this._opening = Promise.resolve();
+    /** @type {import("./post_process.js").Picture | null} What comes of the last frame. */
+    this._processed = null;
+    this._stop = new AbortController();
     this._inTurn = inTurns(); // frames, and pictures between them
   }
 
@@ -66,9 +76,89 @@ export class ShownModel {
     if (place) this.orbit.move(place);
   }
 
-  /** Draw a frame of the camera into GPU memory. @param {Look} look */
-  async draw(width, height, look) {
-    return this._inTurn(() => this._drawWith(this.renderer, this.orbit.camera(width, height), look));
+  /** The inputs of the model, and of post-process models. */
+  get inputs() {
+    return [...this.model.inputs, ...(this._posts?.inputs ?? [])];
+  }
+
+  /**
+   * Take the post-process models that pictures go through from now on.
+   * @param {import("./post_process.js").Post[]} posts
+   * @param {string} target Whose limits rules check.
+   * @param {(error: GsgenError) => void} onError Told why there are none.
+   */
+  async usePosts(posts, target, onError) {
+    this._stop.abort();
+    const { signal } = (this._stop = new AbortController());
+    this._onPostError = onError;
+    this._opening = (async () => {
+      try {
+        const opened = posts.length ? await (await import("./post_process.js")).Posts.open(this.kernels, posts, target, signal) : null;
+        await this._inTurn(async () => {
+          if (signal.aborted) return opened?.destroy();
+          this._posts?.destroy();
+          [this._posts, this._processed] = [opened, null];
+        });
+      } catch (error) {
+        if (!signal.aborted) onError(error);
+      }
+    })();
+    return this._opening;
+  }
+
+  /**
+   * Draw a frame of the camera into GPU memory.
+   * @param {Look} look
+   * @param {number} [leastScale] Below 1, slow frames have fewer pixels: no fewer than this share of a side.
+   */
+  async draw(width, height, look, leastScale = 1) {
+    return this._inTurn(async () => {
+      const begun = performance.now();
+      const scale = Math.max(this._governor.scale, leastScale);
+      const [columns, rows] = [width, height].map((side) => Math.max(Math.round(scale * side), 1));
+      this._processed = null;
+      this._isReduced = scale < 1;
+      await this._drawWith(this.renderer, this.orbit.camera(columns, rows), look);
+      if (leastScale === 1) return;
+      this.kernels.device.queue.onSubmittedWorkDone().then(() => {
+        const now = performance.now();
+        this._governor.measured(now - Math.max(begun, this._doneAt));
+        this._doneAt = now;
+      });
+    });
+  }
+
+  /** Whether the last frame is what stays. @param {Look} look */
+  isFinal(look) {
+    return !this._isReduced && (!this._posts || look.mode !== "color" || Boolean(this._processed));
+  }
+
+  /** Draw a frame that stays: it goes through post-process models. @param {Look} look */
+  async drawFinal(width, height, look) {
+    return this._inTurn(async () => {
+      await this._drawWith(this.renderer, this.orbit.camera(width, height), look);
+      this._isReduced = false;
+      if (this.camera) this._processed = await this._process(this.renderer, this.camera, look);
+    });
+  }
+
+  /** Return the image of a renderer. @returns {import("./post_process.js").Picture} */
+  _plain(renderer, look) {
+    const image = renderer.host.image(this._output(look));
+    return { image, isLinear: this.model.buffers.isLinear, backgroundAlpha: look.background[3] };
+  }
+
+  /** Return what comes of the image of a renderer; the image itself where a model fails. */
+  async _process(renderer, { width, height }, look) {
+    const plain = this._plain(renderer, look);
+    if (!this._posts || look.mode !== "color") return plain;
+    try {
+      return await this._posts.run(plain, width, height, look.inputs, this.playback?.currentTime ?? 0);
+    } catch (error) {
+      if (!(error instanceof GsgenError)) throw error;
+      this._onPostError(error);
+      return plain;
+    }
   }
 
   /** Return what shows frames on a canvas. @param {HTMLCanvasElement | OffscreenCanvas} canvas */
@@ -78,7 +168,7 @@ export class ShownModel {
 
   /** Show the last frame on a canvas. @param {Presenter} presenter @param {Look} look */
   show(presenter, look) {
-    if (this.camera) this._show(presenter, this.renderer, this.camera, look);
+    if (this.camera) this._show(presenter, this.camera, look, this._processed ?? this._plain(this.renderer, look));
   }
 
   async _drawWith(renderer, camera, look, { isWhole = false } = {}) {
@@ -105,14 +195,10 @@ export class ShownModel {
     return mode === "normal" || mode === "color" ? mode : "depth";
   }
 
-  _show(presenter, renderer, camera, look) {
+  _show(presenter, camera, look, { image, ...light }) {
     const { distance, extent } = this.orbit;
-    presenter.show(renderer.host.image(this._output(look)), camera, {
-      mode: look.mode,
-      depths: [Math.max(distance - extent.reach, 0), distance + extent.reach],
-      isLinear: this.model.buffers.isLinear,
-      backgroundAlpha: look.background[3],
-    });
+    const depths = [Math.max(distance - extent.reach, 0), distance + extent.reach];
+    presenter.show(image, camera, { mode: look.mode, depths, ...light });
   }
 
   /** Run a task with a renderer of its own between two frames. */
@@ -135,12 +221,13 @@ export class ShownModel {
   async picture(width, height, look, encoding = {}) {
     const canvas = new OffscreenCanvas(width, height);
     const presenter = this.presenterOf(canvas);
+    await this._opening;
     try {
       return await this._aside(async (renderer) => {
         const camera = this.orbit.camera(width, height);
         await this._drawWith(renderer, camera, look, { isWhole: true });
         if (this.isDestroyed) throw new GsgenError("the model was removed before its picture was drawn");
-        this._show(presenter, renderer, camera, look);
+        this._show(presenter, camera, look, await this._process(renderer, camera, look));
         return encodedCanvas(canvas, encoding); // at once: the next task finds an empty canvas
       });
     } finally {
@@ -183,6 +270,8 @@ export class ShownModel {
   /** Release all GPU memory. */
   destroy() {
     this.isDestroyed = true;
+    this._stop.abort();
+    this._posts?.destroy();
     this.renderer.destroy();
     this.model.destroy();
   }

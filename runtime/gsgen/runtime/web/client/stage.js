@@ -5,7 +5,7 @@
  */
 
 import { GsgenError } from "./errors.js";
-import { isKeyed, valueAt } from "./key_frames.js";
+import { checkInputs, inputsAt, isKeyed, valueAt } from "./key_frames.js";
 import { IDENTITY, composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
 import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
@@ -13,9 +13,6 @@ import { valueOfTime } from "./playback.js";
 import { orbitOf, readScene } from "./scene_file.js";
 import { SplatBuffers } from "./splat_buffers.js";
 import { sourceFile } from "./source_files.js";
-import { nearestWord } from "./words.js";
-
-const INDICES = ["frame_index", "appearance_id"]; // roles of whole numbers
 
 /** @type {symbol} */
 const CLOCK = Symbol("seconds"); // the name of a stage's time, which no input of a model has
@@ -65,10 +62,14 @@ export class Stage {
     }
     const base = new URL(options.source ?? name, globalThis.document.baseURI);
     const signal = options.signal ?? new AbortController().signal;
-    const fileOf = async ({ path, where }) => {
-      const isInlined = path.startsWith("#");
-      if (!isInlined && !URL.canParse(path, base)) throw new GsgenError("is no address", { where: `${where}.path` });
-      const file = sourceFile(isInlined ? path : new URL(path, base).href);
+    const addressOf = ({ path, where }) => {
+      if (path.startsWith("#")) return path;
+      if (!URL.canParse(path, base)) throw new GsgenError("is no address", { where: `${where}.path` });
+      return new URL(path, base).href;
+    };
+    const posts = scene.posts.map((post) => ({ ...post, address: addressOf(post) }));
+    const fileOf = async (part) => {
+      const file = sourceFile(addressOf(part));
       return { file, data: await file.bytes(() => {}, signal) };
     };
     const openingMeshes = Promise.all(scene.meshes.map(async (part) => {
@@ -95,7 +96,7 @@ export class Stage {
       const meshes = await openingMeshes;
       const isLinear = entries.some(({ model }) => model.buffers.isLinear);
       if (meshes.length) drawn = await (await import("./stage_meshes.js")).StageMeshes.open(kernels, meshes, isLinear);
-      return new Stage(kernels, entries, drawn, scene, document);
+      return new Stage(kernels, entries, drawn, { ...scene, posts }, document);
     } catch (error) {
       drawn?.destroy();
       for (const { model } of entries) model.destroy();
@@ -107,7 +108,7 @@ export class Stage {
    * @param {import("./host.js").KernelCache} kernels
    * @param {Entry[]} entries
    * @param {import("./stage_meshes.js").StageMeshes | null} meshes
-   * @param {ReturnType<typeof readScene>} scene
+   * @param {Omit<ReturnType<typeof readScene>, "posts"> & {posts: import("./post_process.js").Post[]}} scene
    * @param {Record<string, any>} document What the scene was read from.
    */
   constructor({ device, plans }, entries, meshes, scene, document) {
@@ -127,6 +128,7 @@ export class Stage {
     for (const { inputs, model, where } of entries) checkInputs(inputs, model, where);
     this.annotations = scene.annotations;
     this.background = scene.background;
+    this.posts = scene.posts;
     this.up = scene.up;
     this.inputs = entries.flatMap(({ model }) => model.inputs);
     this.findings = entries.flatMap(({ model }) => model.findings ?? []);
@@ -175,7 +177,7 @@ export class Stage {
     this._meshes?.moveTo(seconds);
     for (const entry of this.entries.filter(({ isVisible }) => isVisible)) {
       const { model, inputs } = entry;
-      const [keyed, fixed] = split(inputs, seconds, model);
+      const [keyed, fixed] = inputsAt(inputs, seconds, model);
       const all = { ...this._ownTime(model, seconds), ...keyed, ...values, ...fixed };
       isChanged = (await model.update(all, localCamera(camera, worldOf(entry)))) || isChanged;
     }
@@ -204,6 +206,7 @@ export class Stage {
    * Return the scene file of the stage as it stands.
    * @param {import("./camera.js").Camera} [camera] Replaces that of the file.
    * @param {import("./orbit_camera.js").Orbit} [orbit] Where the camera looks.
+   * @returns {Record<string, any>}
    */
   toJSON(camera, orbit) {
     const [models, meshes] = [this.entries, this.meshes].map((entries) => entries.map(({ fields, path, transform, opacity, isVisible }) => {
@@ -220,20 +223,6 @@ export class Stage {
     this._meshes?.destroy();
     for (const { model } of this.entries) model.destroy();
   }
-}
-
-/** Return the values of inputs with key frames at a time, and those of the others. */
-function split(inputs, seconds, { inputs: specs }) {
-  const [keyed, fixed] = [{}, {}];
-  for (const [name, value] of Object.entries(inputs)) {
-    if (!isKeyed(value)) fixed[name] = value;
-    else {
-      const numbers = valueAt(value.keys, seconds);
-      const spec = specs.find((each) => each.name === name) ?? specs.find((each) => each.role === name);
-      keyed[spec.name] = INDICES.includes(spec.role) ? numbers.map(Math.round) : numbers;
-    }
-  }
-  return [keyed, fixed];
 }
 
 /** Return a set of a model at its place on the stage. */
@@ -255,17 +244,6 @@ function placed(set, entry) {
 function mirrored({ low, high }, transform) {
   const sides = [0, 1, 2].map((axis) => [low[axis], high[axis]].map((part) => part * transform[5 * axis]).sort((a, b) => a - b));
   return { low: sides.map(([side]) => side), high: sides.map(([, side]) => side) };
-}
-
-/** Refuse values of inputs that a model lacks. */
-function checkInputs(inputs, { inputs: specs }, where) {
-  const known = specs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
-  for (const name of Object.keys(inputs)) {
-    if (known.includes(name)) continue;
-    const nearest = nearestWord(name, known);
-    const hint = nearest ? `Is ${nearest} meant?` : `It has ${known.join(", ") || "none"}.`;
-    throw new GsgenError("is no input of the model", { where: `${where}.inputs.${name}`, hint });
-  }
 }
 
 /** Return the extent of a placed model in the world. */

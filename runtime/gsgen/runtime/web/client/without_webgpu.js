@@ -213,6 +213,18 @@ class ModelOfThree {
     if (place) this.orbit.move(place);
   }
 
+  get inputs() {
+    return this.model.inputs;
+  }
+
+  async usePosts(posts, _, onError) {
+    if (posts.length) onError(new GsgenError("post-process models need WebGPU: the picture is plain"));
+  }
+
+  isFinal() {
+    return true;
+  }
+
   /** Return what shows pictures on a canvas. @param {HTMLCanvasElement} canvas */
   presenterOf(canvas) {
     const context = /** @type {ImageBitmapRenderingContext} */ (canvas.getContext("bitmaprenderer"));

@@ -1,5 +1,5 @@
 /**
- * Runs a generator: in a captured graph where that is right, its constant outputs once.
+ * Runs a model: in a captured graph where that is right, its constant outputs once.
  *
  * ONNX Runtime folds what depends on no input, and a captured graph does not write it. Such outputs
  * (most often the colours and the count) come from one run that is not captured.
@@ -15,8 +15,14 @@ import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
 
 const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
 
-export class GeneratorSession {
-  static async open({ device }, bytes, { graph }, manifest, name) {
+export class ModelSession {
+  /**
+   * @param {any} kernels Whose device it runs on.
+   * @param {any} subject What rules read of the model.
+   * @param {Record<string, number>} [sizes] Of open dimensions.
+   */
+  static async open(kernels, bytes, subject, manifest, name, sizes) {
+    const [{ device }, { graph }] = [kernels, subject];
     const ort = await onnxRuntime();
     const all = graph.output_names;
     const constant = all.filter((output) => !graph.varies(output));
@@ -25,7 +31,7 @@ export class GeneratorSession {
       const { op_type, input } = graph.producers.get(output) ?? {};
       return graph.varies(output) && (!op_type || isCopy(op_type, input.length, true));
     };
-    const open = (capture) => openSession(ort, device, bytes, name, { capture });
+    const open = (capture) => openSession(ort, device, bytes, name, capture, sizes);
     const isStill = constant.length === all.length;
     const captured = isStill || all.some(isStale) ? null : await open(true);
     const plain = captured && !constant.length ? null : await open(false);
@@ -34,7 +40,7 @@ export class GeneratorSession {
     }
     const inputs = new GeneratorInputs(captured ?? plain, manifest, gpuTensors(ort, device));
     const runs = { isCaptured: Boolean(captured), isStill };
-    const session = new GeneratorSession(device, captured ?? plain, inputs, name, runs);
+    const session = new ModelSession(device, captured ?? plain, inputs, name, runs);
     if (plain && (captured || isStill)) {
       const outputs = await session._run(plain);
       for (const output of constant) session._keep(output, outputs[output]);
