@@ -1,6 +1,6 @@
 """Reads typed fields of a scene file by name; unknown fields are errors."""
 
-__all__ = ["Fields", "fields_of", "refuse"]
+__all__ = ["Fields", "fields_of", "read_transform", "refuse"]
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import NoReturn, TypeVar, cast, final
@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.transforms import require_affine
 from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames
 
 _MAX_NUMBER = 1e12
@@ -240,3 +242,42 @@ def _flat_numbers(value: object) -> list[float] | None:
 def _shorten_value(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:59] + "…"
+
+
+def read_transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
+    """Return the transform of an object in a scene file, by default translate × rotate × scale."""
+    matrix = fields.array("transform", (4, 4))
+    steps = [name for name in ("translate", "rotate", "scale") if fields.has_field(name)]
+    if matrix is not None:
+        if steps:
+            fields.refuse(steps[0], "excludes `transform`: leave one of them out")
+        require_affine(matrix, fields.location("transform"))
+        return matrix
+    transform = np.eye(4)
+    scale = fields.array("scale", (), (3,))
+    transform[:3, :3] = _rotation(fields) @ np.diag(
+        np.broadcast_to(1.0 if scale is None else scale, 3)
+    )
+    translation = fields.array("translate", (3,))
+    transform[:3, 3] = 0 if translation is None else translation
+    require_affine(transform, fields.location("scale"))
+    return transform
+
+
+def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
+    """Return the field ``rotate``: a quaternion w, x, y, z, or an axis and an angle in degrees."""
+    if isinstance(fields.unchecked_value("rotate"), Mapping):
+        nested_fields = fields.nested_fields("rotate")
+        axis = nested_fields.array("axis", (3,))
+        degrees = nested_fields.number("degrees")
+        nested_fields.close()
+        if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
+            fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]')
+        half_angle = np.radians(degrees) / 2
+        rotation = np.append(np.cos(half_angle), np.sin(half_angle) * axis / np.linalg.norm(axis))
+    else:
+        quaternion = fields.array("rotate", (4,))
+        rotation = np.array([1.0, 0, 0, 0]) if quaternion is None else quaternion
+    if not np.linalg.norm(rotation) > 0:
+        fields.refuse("rotate", "is the quaternion 0 0 0 0, expected one with a length")
+    return np.asarray(rotation_matrix(rotation[None])[0])

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats.shared.notices import warn_unused
 from gsgen.formats.shared.origins import Origin
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
@@ -30,13 +29,12 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.colors import color_of
 from gsgen.runtime.scene.mesh import SHADINGS, Shading
 from gsgen.runtime.scene.scene import Box
-from gsgen.runtime.scene.transforms import require_affine
 from gsgen.runtime.sources.key_frames import DEFAULT_FPS, Animation, KeyFrames, Span
 from gsgen.runtime.sources.mesh_files import read_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
-from gsgen.runtime.sources.scene_fields import Fields, fields_of, refuse
+from gsgen.runtime.sources.scene_fields import Fields, fields_of, read_transform, refuse
 from gsgen.runtime.sources.source import Source
 from gsgen.runtime.sources.stream_settings import StreamOpener
 
@@ -346,7 +344,7 @@ def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
     inputs, keys = fields.values_or_keys("inputs")
     model = SceneModel(
         path=folder / fields.required_text("path"),
-        transform=_read_transform(fields),
+        transform=read_transform(fields),
         settings=DrawSettings(
             opacity_scale=1.0 if opacity_scale is None else opacity_scale,
             sh_degree=fields.integer("sh_degree", low=0, high=3),
@@ -373,7 +371,7 @@ def _read_mesh(fields: Fields, folder: Path) -> SceneMesh:
     }
     part = SceneMesh(
         path=path,
-        transform=_read_transform(fields),
+        transform=read_transform(fields),
         shading=fields.choice("shading", SHADINGS),
         where=fields.where,
         visible=fields.switch("visible", default=True),
@@ -406,45 +404,6 @@ def _read_post(fields: Fields, folder: Path) -> ScenePost:
     inputs, keys = fields.values_or_keys("inputs")
     fields.close()
     return ScenePost(path, inputs, keys, fields.where)
-
-
-def _read_transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
-    """Return the transform of an object in a scene file, by default translate × rotate × scale."""
-    matrix = fields.array("transform", (4, 4))
-    steps = [name for name in ("translate", "rotate", "scale") if fields.has_field(name)]
-    if matrix is not None:
-        if steps:
-            fields.refuse(steps[0], "excludes `transform`: leave one of them out")
-        require_affine(matrix, fields.location("transform"))
-        return matrix
-    transform = np.eye(4)
-    scale = fields.array("scale", (), (3,))
-    transform[:3, :3] = _rotation(fields) @ np.diag(
-        np.broadcast_to(1.0 if scale is None else scale, 3)
-    )
-    translation = fields.array("translate", (3,))
-    transform[:3, 3] = 0 if translation is None else translation
-    require_affine(transform, fields.location("scale"))
-    return transform
-
-
-def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
-    """Return the field ``rotate``: a quaternion w, x, y, z, or an axis and an angle in degrees."""
-    if isinstance(fields.unchecked_value("rotate"), Mapping):
-        nested_fields = fields.nested_fields("rotate")
-        axis = nested_fields.array("axis", (3,))
-        degrees = nested_fields.number("degrees")
-        nested_fields.close()
-        if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
-            fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]')
-        half_angle = np.radians(degrees) / 2
-        rotation = np.append(np.cos(half_angle), np.sin(half_angle) * axis / np.linalg.norm(axis))
-    else:
-        quaternion = fields.array("rotate", (4,))
-        rotation = np.array([1.0, 0, 0, 0]) if quaternion is None else quaternion
-    if not np.linalg.norm(rotation) > 0:
-        fields.refuse("rotate", "is the quaternion 0 0 0 0, expected one with a length")
-    return np.asarray(rotation_matrix(rotation[None])[0])
 
 
 def _read_clip_box(fields: Fields) -> Box | None:
