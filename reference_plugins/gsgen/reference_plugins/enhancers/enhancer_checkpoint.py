@@ -41,7 +41,9 @@ def read_network(file: Path) -> ImageNetwork:
         CheckpointInvalid: The file is of another layout, or a tensor is missing or does not fit.
     """
     required_file(file, "the weights of the network")
-    state = read_safetensors(file) if is_safetensors(file) else load_state(file, "the weights")
+    state: State = (
+        read_safetensors(file) if is_safetensors(file) else load_state(file, "the weights")
+    )
     for name in _WRAPPERS:
         if isinstance(state.get(name), dict):
             state = state[name]

@@ -122,7 +122,7 @@ class _Block(nn.Module):
         attended = attended.reshape(height, width, channels)
         if shift:
             attended = torch.roll(attended, (shift, shift), (0, 1))
-        result = pixels + attended
+        result: Tensor = pixels + attended
         result = result + self.mlp(self.norm2(result))
         return result
 
@@ -233,7 +233,8 @@ class SwinIR(ImageNetwork):
             pixels = layer(pixels)
         features = self.conv_after_body(_image_of(self.norm(pixels))) + first
         if self.options.upsampler == "none":
-            return image + self.conv_last(features) / levels
+            restored: Tensor = image + self.conv_last(features) / levels
+            return restored
         return self._enlarged(features) / levels + mean
 
     def _enlarged(self, features: Tensor) -> Tensor:

@@ -53,6 +53,11 @@ class FastNeuralStyle(StyleTransfer):
     """
 
     source = "https://github.com/pytorch/examples"
+    in1: nn.InstanceNorm2d
+    in2: nn.InstanceNorm2d
+    in3: nn.InstanceNorm2d
+    in4: nn.InstanceNorm2d
+    in5: nn.InstanceNorm2d
 
     def __init__(
         self, channels: int, blocks: int, size: tuple[int, int] | None, *, slider: bool = True

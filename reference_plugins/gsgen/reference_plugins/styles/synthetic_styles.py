@@ -54,8 +54,10 @@ def write_adain(folder: Path, *, width: int = 4, seed: int = 0) -> Path:
         for layer in (*encoder, *decoder):
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight)
-        decoder[28].bias.fill_(0.5)  # type: ignore[union-attr]
-        decoder[28].weight.mul_(4.0)  # type: ignore[operator]
+        last = decoder[28]
+        assert isinstance(last, nn.Conv2d) and last.bias is not None
+        last.bias.fill_(0.5)
+        last.weight.mul_(4.0)
     unused = nn.Conv2d(8 * width, 8 * width, 3)
     unused_state = {f"32.{name}": value for name, value in unused.state_dict().items()}
     _save(folder / "decoder.pth", dict(decoder.state_dict()))
