@@ -1,5 +1,6 @@
 """Splatter Image and LGM against their own code, and against plain formulas in float64."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import onnxruntime
 import pytest
 import torch
 import yaml
+from PIL import Image
 from typer.testing import CliRunner
 
 from gsgen.cli.command_group import build
@@ -15,14 +17,17 @@ from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
+from gsgen.formats import PackedRows, splats_of_rows, write_ply
 from gsgen.reference_plugins.feed_forward.lgm_checkpoint import read_lgm
 from gsgen.reference_plugins.feed_forward.splatter_image_checkpoint import read_splatter_image
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.synthetic import write_lgm, write_splatter_image
+from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk import export
 from plugins.feed_forward.cases import CASES, GOLDENS, Case
 from plugins.feed_forward.feed_forward_oracle import lgm, splatter_image
 from support.checkpoints.plugin_checks import ALLOWED, assert_like, eager
+from support.commands import gsgen_here
 from support.models.captured import assert_captured
 
 each_case = pytest.mark.parametrize("name", CASES)
@@ -166,3 +171,43 @@ def test_another_network_is_not_taken_for_lgm(tmp_path: Path) -> None:
     torch.save({"unet.weight": torch.zeros(3)}, tmp_path / "other.pth")
     with pytest.raises(CheckpointInvalid, match="0 levels down and 0 up"):
         read_lgm(tmp_path / "other.pth")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["splatter_image_two_views", "lgm_small"])
+def test_one_command_makes_the_film_of_picture_files(name: str, tmp_path: Path) -> None:
+    """The film is that of the rows which torch computes from the same pictures."""
+    case, model = CASES[name], tmp_path / "model.onnx"
+    generator = case.generator(case.write(tmp_path / "run"))
+    export(generator, model, target="webgpu", settings=Settings(level=Level.STATIC))
+    pixels = np.round(255 * case.images()).astype(np.uint8)
+    files = [tmp_path / f"{number}.png" for number in range(case.pictures)]
+    for file, picture in zip(files, pixels, strict=True):
+        Image.fromarray(picture.transpose(1, 2, 0)).save(file)
+    words = ["--image", ",".join(map(str, files))]
+    inputs = [pixels.astype(np.float32) / 255, *case.inputs()[1:]]
+    if len(inputs) > 1:
+        lens = {
+            "fx": 16.0,
+            "fy": 16.0,
+            "cx": 8.0,
+            "cy": 8.0,
+            "width": case.side,
+            "height": case.side,
+        }
+        cameras = [json.loads(Camera(view, **lens).to_json()) for view in case.views()]
+        (tmp_path / "cameras.json").write_text(json.dumps(cameras), "utf-8")
+        words += ["--image-cameras", str(tmp_path / "cameras.json")]
+    rows = PackedRows(*eager(generator, *inputs))
+    write_ply(tmp_path / "rows.ply", splats_of_rows(rows))
+    view = ("--camera", "look-at:1,-1,-2,0,0,1", "--up", "-y", "--size", "48x32")
+    for scene, more in ((model, words), (tmp_path / "rows.ply", [])):
+        output = tmp_path / f"{scene.stem}.npy"
+        assert gsgen_here("render", scene, *more, *view, "-o", output).code == 0
+    actual, expected = (np.load(tmp_path / f"{stem}.npy") for stem in ("model", "rows"))
+    assert expected[..., :3].max() > 0.2
+    np.testing.assert_allclose(actual, expected, atol=1e-3)
+    film = (*words, "--camera", "orbit", "--frames", "3", "--size", "48x32")
+    filmed = gsgen_here("render", model, *film, "-o", tmp_path / "film.mp4")
+    assert filmed.code == 0
+    assert "film.mp4: 3 frames of 48×32" in filmed.out + filmed.err
