@@ -32,7 +32,12 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
     from gsgen.reference_plugins.octree_anygs.synthetic_anygs import write_anygs
-    from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
+    from gsgen.reference_plugins.people.synthetic_people import (
+        write_gart,
+        write_gauhuman,
+        write_lhm,
+        write_r3,
+    )
     from gsgen.reference_plugins.spacetime.synthetic_ex4dgs import write_ex4dgs
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
@@ -46,7 +51,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_adain", "write_anime_gan", "write_anygs", "write_body",
-    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_enhancer", "write_ex4dgs", "write_fast_neural_style", "write_gauhuman", "write_gaussian_avatar",
+    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_enhancer", "write_ex4dgs", "write_fast_neural_style", "write_gart", "write_gauhuman", "write_gaussian_avatar",
     "write_hexplane", "write_lgm", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
 ]  # fmt: skip
@@ -72,6 +77,7 @@ _MODULE_BY_NAME: Final = {
     "write_denoiser": "gsgen.reference_plugins.images.synthetic_images",
     "write_stylise": "gsgen.reference_plugins.images.synthetic_images",
     "write_anygs": "gsgen.reference_plugins.octree_anygs.synthetic_anygs",
+    "write_gart": "gsgen.reference_plugins.people.synthetic_people",
     "write_gauhuman": "gsgen.reference_plugins.people.synthetic_people",
     "write_lhm": "gsgen.reference_plugins.people.synthetic_people",
     "write_r3": "gsgen.reference_plugins.people.synthetic_people",

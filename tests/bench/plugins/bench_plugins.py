@@ -13,6 +13,7 @@ import onnx
 import onnxruntime
 import torch
 
+from gsgen.contract.probing.picture_probes import synthetic_pictures
 from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
@@ -27,8 +28,14 @@ from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
 from gsgen.reference_plugins.deformation.sc_gs import ScGs
 from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
+from gsgen.reference_plugins.feed_forward.lgm import Lgm
+from gsgen.reference_plugins.feed_forward.lgm_checkpoint import read_lgm
+from gsgen.reference_plugins.feed_forward.splatter_image import SplatterImage
+from gsgen.reference_plugins.feed_forward.splatter_image_checkpoint import read_splatter_image
 from gsgen.reference_plugins.heads.gaussian_avatars import GaussianAvatars
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
+from gsgen.reference_plugins.people.gart import Gart
+from gsgen.reference_plugins.people.gart_checkpoint import read_gart
 from gsgen.reference_plugins.people.gauhuman import GauHuman
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm import LHM
@@ -48,9 +55,11 @@ from gsgen.reference_plugins.synthetic import (
     write_deformable,
     write_duplex,
     write_ex4dgs,
+    write_gart,
     write_gauhuman,
     write_gaussian_avatar,
     write_hexplane,
+    write_lgm,
     write_lhm,
     write_octree,
     write_r3,
@@ -58,6 +67,7 @@ from gsgen.reference_plugins.synthetic import (
     write_sc_gs,
     write_scaffold,
     write_spacetime,
+    write_splatter_image,
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
@@ -214,6 +224,42 @@ def bench_gaussian_avatars(tmp_path: Path) -> None:
         "root_translation": np.zeros(3, np.float32),
     }
     measure(GaussianAvatars(read), feeds, tmp_path)
+
+
+def bench_gart(tmp_path: Path) -> None:
+    person = PersonOptions(count=40_000, vertices=6_890, degree=1, width=256)
+    read = read_gart(write_gart(tmp_path / "run", person, resolution=64))
+    rng = np.random.default_rng(0)
+    feeds = {
+        "pose": rng.normal(0, 0.3, (24, 3)).astype(np.float32),
+        "root_translation": np.zeros(3, np.float32),
+        "camera": view(),
+    }
+    measure(Gart(read), feeds, tmp_path)
+
+
+def bench_lgm(tmp_path: Path) -> None:
+    sizes = {"down": (32, 64, 128, 128), "up": (128, 64, 32)}
+    read = read_lgm(write_lgm(tmp_path / "run", **sizes))
+    measure(Lgm(read, 64), {"image": pictures((4, 3, 64, 64))}, tmp_path)
+
+
+def bench_splatter_image(tmp_path: Path) -> None:
+    folder = write_splatter_image(tmp_path / "run", side=64, width=32, blocks=2)
+    generator = SplatterImage(read_splatter_image(folder))
+    shape = next(declared.shape for declared in generator.inputs if declared.role == "image")
+    views = np.eye(4, dtype=np.float32)[None]
+    feeds = {"image": pictures(shape), "image_view": views}
+    measure(generator, {name: feeds[name] for name in named(generator)}, tmp_path)
+
+
+def pictures(shape: tuple[int, ...] | None) -> np.ndarray:
+    assert shape is not None
+    return synthetic_pictures(shape, np.random.default_rng(0)).astype(np.float32)
+
+
+def named(generator: GaussianGenerator) -> list[str]:
+    return [declared.name for declared in generator.inputs]
 
 
 def write_control_nodes(folder: Path, count: int) -> Path:

@@ -14,6 +14,7 @@ from gsgen.reference_plugins.feed_forward.lgm_checkpoint import read_lgm
 from gsgen.reference_plugins.feed_forward.splatter_image_checkpoint import read_splatter_image
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
 from gsgen.reference_plugins.octree_anygs.anygs_checkpoint import read_anygs
+from gsgen.reference_plugins.people.gart_checkpoint import read_gart
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
@@ -29,6 +30,7 @@ from gsgen.reference_plugins.synthetic import (
     write_deformable,
     write_duplex,
     write_ex4dgs,
+    write_gart,
     write_gauhuman,
     write_gaussian_avatar,
     write_hexplane,
@@ -61,6 +63,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "rotor-4dgs": (lambda f: write_rotor(f, count=4), read_rotor),
     "ex4dgs": (lambda f: write_ex4dgs(f, count=4), read_ex4dgs),
     "spacetime-gaussians": (lambda f: write_spacetime(f, count=4, full=True), read_spacetime),
+    "gart": (lambda f: write_gart(f, PersonOptions(count=4, degree=1), resolution=4), read_gart),
     "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
     "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),
     "r3-avatar": (lambda f: write_r3(f, PERSON), read_r3),

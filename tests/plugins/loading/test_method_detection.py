@@ -13,7 +13,7 @@ from gsgen.sdk.plugins.plugin import installed_plugins
 from plugins.loading.method_runs import METHODS
 
 # The files of these are like those of no other method.
-DISTINCT_METHODS = ("lgm", "lhm", "rotor-4dgs", "splatter-image")
+DISTINCT_METHODS = ("gart", "lgm", "lhm", "rotor-4dgs", "splatter-image")
 SHARED_METHODS = {name: both for name, both in METHODS.items() if name not in DISTINCT_METHODS}
 
 

@@ -1,15 +1,19 @@
-"""What GauHuman, LHM and R3-Avatar compute, written out plainly in float64, body by body.
+"""What GART, GauHuman, LHM and R3-Avatar compute, written out plainly in float64, body by body.
 
 Each function follows the formulas of its method, and shares no code with our generators: whole
 bodies are skinned, chains are loops, matrices are inverted, grids are sampled.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
+import yaml
+from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
+from scipy.special import sph_harm_y
 
 from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
@@ -304,3 +308,103 @@ def r3_posed(
     return ExpectedGaussians(
         np.ones(len(canonical), bool), position, opacity, upper(covariance), color
     )
+
+
+def gart(folder: Path, pose_inputs: PoseInputs, eye: np.ndarray) -> ExpectedGaussians:
+    """JiahuiLei/GART: `lib_gart/model.py`, and the colours of `lib_render/gauspl_renderer.py`.
+
+    Of `pose_inputs`, `pose`, `shift` and `pose_id`, the training frame, count.
+    """
+    saved = torch.load(folder / "model.pth", weights_only=True)
+    state = {name: value.double().numpy() for name, value in saved.items()}
+    profile = yaml.safe_load((folder / "people.yaml").read_text())
+    grid = "template.voxel_deformer"
+    xyz, parents = state["_xyz"], state["template._template_layer.parents"].astype(int)
+
+    cells = state[f"{grid}.lbs_voxel_base"] + state.get(f"{grid}.voxel_w_correction", 0)
+    cells = (
+        np.concatenate([cells, state[f"{grid}.additional_correction"]], 1)[0]
+        if (f"{grid}.additional_correction" in state)
+        else cells[0]
+    )
+    unit = (xyz - state[f"{grid}.offset"][0]) / state[f"{grid}.scale"]
+    unit[:, 2] *= state[f"{grid}.ratio"]
+    index = (unit[:, ::-1].T + 1) / 2 * (np.array(cells.shape[1:]) - 1)[:, None]
+    weights = np.stack([map_coordinates(cell, index, order=1, mode="nearest") for cell in cells], 1)
+    if state["_w_correction_dc"].shape[1]:
+        weights[:, :24] += state["_w_correction_dc"]
+    weights = np.concatenate([weights, state["_w_correction_rest"]], 1)
+
+    turns, joints = turns_of(pose_inputs.pose), state["template.J_canonical"][0]
+    world: list[np.ndarray] = []
+    for joint, parent in enumerate(parents):
+        local = np.eye(4)
+        local[:3, :3] = turns[joint]
+        local[:3, 3] = joints[joint] - (joints[parent] if joint else 0)
+        world.append(world[parent] @ local if joint else local)
+    transforms = []
+    for joint, transform in enumerate(world):
+        back = np.eye(4)
+        back[:3, 3] = -joints[joint]
+        transforms.append(transform @ back @ state["template.A0_inv"][joint])
+    about_root = np.eye(4)
+    about_root[:3, :3] = turns[0]
+    about_root[:3, 3] = (np.eye(3) - turns[0]) @ state["template.j0_t"]
+    transforms += [about_root @ bone for bone in _gart_bones(state, pose_inputs)]
+
+    blend = np.einsum("nj,jab->nab", weights, np.stack(transforms))
+    position = np.einsum("nab,nb->na", blend[:, :3, :3], xyz) + blend[:, :3, 3] + pose_inputs.shift
+    quaternion = state["_rotation"]
+    axes = blend[:, :3, :3] @ Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
+    low, high = profile["MIN_SCALE"], profile["MAX_SCALE"]
+    scale = low + (high - low) / (1 + np.exp(-state["_scaling"]))
+    root = axes * scale[:, None]
+    seen = np.einsum("nab,na->nb", axes, position - eye)
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    sh = np.concatenate([state["_features_dc"], state["_features_rest"]], 1).reshape(
+        len(xyz), -1, 3
+    )
+    rgb = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", _harmonics(seen, sh.shape[1]), sh))
+    opacity = 1 / (1 + np.exp(-state["_opacity"][:, 0]))
+    covariance = upper(root @ root.transpose(0, 2, 1))
+    return ExpectedGaussians(np.ones(len(xyz), bool), position, opacity, covariance, rgb)
+
+
+def _gart_bones(state: dict[str, np.ndarray], pose_inputs: PoseInputs) -> list[np.ndarray]:
+    """Return the additional bones: of the network, or chained up to a training frame."""
+    if "add_bones.dr_list" in state:
+        count = state["add_bones.dr_list"].shape[1]
+        chained = [np.eye(4) for _ in range(count)]
+        for frame in range(pose_inputs.pose_id + 1):
+            for bone in range(count):
+                step = np.eye(4)
+                step[:3, :3] = turns_of(state["add_bones.dr_list"][frame, bone])[0]
+                step[:3, 3] = state["add_bones.dt_list"][frame, bone]
+                chained[bone] = chained[bone] @ step
+        return chained
+    if "add_bones.mlp_output_head.weight" not in state:
+        return []
+    x = pose_inputs.pose[1:].ravel()
+    for layer in range(2):
+        name = f"add_bones.mlp_layers.{layer}.0"
+        x = state[f"{name}.weight"] @ x + state[f"{name}.bias"]
+        x = np.where(x > 0, x, 0.01 * x)
+    bones = []
+    for w, *numbers in (state["add_bones.mlp_output_head.weight"] @ x).reshape(-1, 7):
+        bone = np.eye(4)
+        bone[:3, :3] = Rotation.from_quat([*numbers[:3], w + 1]).as_matrix()
+        bone[:3, 3] = numbers[3:]
+        bones.append(bone)
+    return bones
+
+
+def _harmonics(direction: np.ndarray, count: int) -> np.ndarray:
+    """Return the real spherical harmonics with the sign of Condon and Shortley, as 3DGS has it."""
+    polar, azimuth = np.arccos(direction[:, 2]), np.arctan2(direction[:, 1], direction[:, 0])
+    columns = []
+    for degree in range(int(count**0.5)):
+        for order in range(-degree, degree + 1):
+            value = sph_harm_y(degree, abs(order), polar, azimuth)
+            part = value.imag if order < 0 else value.real
+            columns.append(part * (1 if order == 0 else np.sqrt(2)))
+    return np.stack(columns, 1)

@@ -5,7 +5,7 @@ is identified by the shapes of its arrays (Loper et al. 2015, "SMPL"; Pavlakos e
 "Expressive Body Capture").
 """
 
-__all__ = ["Body", "joints_of_file", "read_body", "required_body"]
+__all__ = ["Body", "joints_of_file", "read_body", "read_parents", "required_body"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -138,7 +138,7 @@ def read_body(path: Path, joints: int) -> Body:
         pose_dirs=arrays["posedirs"],
         weights=arrays["weights"],
         regressor=arrays["J_regressor"],
-        parents=_read_parents(path, arrays["kintree_table"][0]),
+        parents=read_parents(path, "kintree_table", arrays["kintree_table"][0]),
         hand_mean=hand_mean_pose,
         faces=faces.astype(np.int64),
     )
@@ -193,11 +193,12 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], joints: int) -> 
             raise CheckpointInvalid(message, where=str(path), hint=hint)
 
 
-def _read_parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
+def read_parents(path: Path, name: str, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
+    """Return the parent of each joint, −1 for the root, of an array called ``name`` in a file."""
     parents = [-1 if p in (-1, NO_PARENT_JOINT) else int(p) for p in table]
     for joint, parent in enumerate(parents):
         if not (parent == -1 if joint == 0 else 0 <= parent < joint):
-            message = f"kintree_table gives joint {joint} the parent {parent}"
+            message = f"{name} gives joint {joint} the parent {parent}"
             hint = "Expected the root first, and every parent before its children."
             raise CheckpointInvalid(message, where=str(path), hint=hint)
     return tuple(parents)

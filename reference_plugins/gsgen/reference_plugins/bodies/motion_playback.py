@@ -37,8 +37,9 @@ class MotionPlayback(GaussianGenerator):
     ) -> None:
         """Store a motion's values for each input of an avatar as a table of frames.
 
-        The shape of ``avatar`` is baked, and its inputs are those of ``actors``. ``time`` has the
-        motion's frames and speed by default; ``spacing`` separates bodies along x.
+        The shape of ``avatar`` is baked, and its first inputs are those of ``actors``; others, such
+        as the camera, stay inputs. ``time`` has the motion's frames and speed by default;
+        ``spacing`` separates bodies along x.
         """
         super().__init__()
         if motion.pose.shape[1] != actors.joints:
@@ -49,18 +50,20 @@ class MotionPlayback(GaussianGenerator):
             hint = "Give a motion whose first joint holds the root rotation, as AMASS and LHM write it."
             raise CheckpointInvalid(message, where=str(motion.path), hint=hint)
         self.avatar, self.actors, self.frames = avatar, actors, len(motion)
-        self.inputs = (time or inputs.time(frames=len(motion), fps=motion.fps),)
+        time = time or inputs.time(frames=len(motion), fps=motion.fps)
+        self.inputs = (time, *avatar.inputs[len(actors.declared()) :])
         self.spacing = spacing
         self.space = replace(avatar.space, up=motion.up)
+        self.color_range = avatar.color_range
         for role, table in _tables(actors, motion).items():
             self.register_buffer(f"table_{role}", torch.from_numpy(table))
 
-    def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
+    def forward(self, time: Float[Tensor, "1"], *others: Tensor) -> Gaussians:
         """Return the Gaussians of frame floor(time · frames), or of the last frame at the end."""
         position = (time * float(self.frames) + _FRAME_TOLERANCE).clamp(0.0, float(self.frames - 1))
         frame = torch.floor(position).to(torch.int32)
         values = [self._input_value(declared, frame) for declared in self.actors.declared()]
-        gaussians = self.avatar(*values)
+        gaussians = self.avatar(*values, *others)
         assert isinstance(gaussians, Gaussians)
         return gaussians
 

@@ -5,7 +5,8 @@
   ``shapes``), or one ``.npz`` of the same arrays for all frames,
 - a folder of ``.npy`` of ZJU-MoCap, one per frame: a pickled dict of ``poses``, ``Rh``,
   ``Th`` and ``shapes``,
-- a ``.json`` or a folder of them, as LHM estimates them from videos (``root_pose``, ``body_pose``, …).
+- a ``.json`` or a folder of them, as LHM estimates them from videos (``root_pose``, ``body_pose``, …),
+- GART's ``training_poses.pth`` (``pose_base_list``, ``pose_rest_list``, ``global_trans_list``).
 
 Only arrays are read from pickles. Poses are converted to the requested body: joints of hands and
 face that the file lacks do not rotate, and those that the body lacks are dropped.
@@ -87,13 +88,15 @@ def read_motion(path: Path, joints: int) -> Motion:
     if path.suffix == ".json":
         read = _read_json(path)
         return _motion_from_json(path, read if isinstance(read, list) else [read], joints)
-    return _motion_from_arrays(path, _read_arrays(path), joints)
+    is_state = path.suffix in (".pth", ".pt")
+    arrays = _read_training_poses(path) if is_state else _read_arrays(path)
+    return _motion_from_arrays(path, arrays, joints)
 
 
 def _supported_motions() -> str:
     return (
-        "Expected an .npz of AMASS, a folder of .npz or .npy with R or Rh, Th and poses, or "
-        "LHM's .json."
+        "Expected an .npz of AMASS, a folder of .npz or .npy with R or Rh, Th and poses, "
+        "LHM's .json, or GART's training_poses.pth."
     )
 
 
@@ -136,6 +139,21 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             message = f"{name} holds {array.dtype}, expected finite numbers"
             raise CheckpointInvalid(message, where=str(path))
     return {name: array.astype(np.float64) for name, array in read.items()}
+
+
+def _read_training_poses(path: Path) -> dict[str, np.ndarray]:
+    """Return the poses of GART's training frames, the root joint first, and their translations."""
+    from gsgen.reference_plugins.loading.states import load_state, require_tensors
+
+    shapes = {"pose_base_list": (None, 1, 3), "pose_rest_list": (None, 23, 3)}
+    expected = {**shapes, "global_trans_list": (None, 3)}
+    ignored = ("pose_list_original", "global_trans_list_original")
+    read = require_tensors(path, load_state(path, "the poses of training"), expected, ignored)
+    base, rest, translation = (read[name].double().numpy() for name in expected)
+    if len({len(base), len(rest), len(translation)}) > 1:
+        message = f"has {len(base)} root poses, {len(rest)} poses and {len(translation)} places"
+        raise CheckpointInvalid(message, where=str(path))
+    return {"poses": np.concatenate([base, rest], axis=1).reshape(len(base), -1), "Th": translation}
 
 
 def _motion_from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:

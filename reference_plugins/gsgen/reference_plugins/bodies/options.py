@@ -48,7 +48,7 @@ MotionFile = Annotated[
     typer.Option(
         "--motion",
         help="Bake a motion, so that time moves the body: an .npz of AMASS, a folder of .npz "
-        "or .npy with R or Rh, Th and poses, or LHM's .json files.",
+        "or .npy with R or Rh, Th and poses, LHM's .json files, or GART's training_poses.pth.",
         show_default="poses are inputs",
     ),
 ]
@@ -91,7 +91,7 @@ def with_motion(
     avatar: "GaussianGenerator",
     actors: "PersonInputs",
     motion: "Motion | None",
-    body: "Body",
+    body_kind: str,
     *,
     fps: float | None,
     loop: bool,
@@ -111,8 +111,8 @@ def with_motion(
         note(motion.describe())
         time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
         avatar = MotionPlayback(avatar, actors, motion, time, spacing=spacing)
-    note(f"note: the model holds parts of {body.kind}, whose licence forbids redistribution")
-    license_name = f"LicenseRef-{body.kind}-derived-no-redistribution"
+    note(f"note: the model holds parts of {body_kind}, whose licence forbids redistribution")
+    license_name = f"LicenseRef-{body_kind}-derived-no-redistribution"
     avatar.producer = Producer(f"gsgen {version('gsgen')}", license=license_name)
     return avatar
 

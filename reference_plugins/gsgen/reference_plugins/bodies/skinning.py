@@ -24,8 +24,8 @@ def posed_transforms(
     rotations: Float[Tensor, "k j 3 3"],
     joints: Float[Tensor, "j 3"],
     parents: Sequence[int],
-    root_rotation: Float[Tensor, "k 3 3"] | None,
-    root_translation: Float[Tensor, "k 3"],
+    root_rotation: Float[Tensor, "k 3 3"] | None = None,
+    root_translation: Float[Tensor, "k 3"] | None = None,
 ) -> Float[Tensor, "k j 3 4"]:
     """Return the rigid transforms of all joints, followed by root rotation and translation.
 
@@ -40,6 +40,8 @@ def posed_transforms(
     transforms = transforms.reshape(bodies, count, 3, 4)
     if root_rotation is not None:
         transforms = root_rotation[:, None] @ transforms
+    if root_translation is None:
+        return transforms
     translation = transforms[:, :, :, 3:] + root_translation[:, None, :, None]
     return torch.cat([transforms[:, :, :, :3], translation], dim=3)
 

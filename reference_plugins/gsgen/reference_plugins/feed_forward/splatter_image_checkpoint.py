@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.feed_forward.song_unet import SongUNet, SongUNetOptions
-from gsgen.reference_plugins.feed_forward.yaml_options import YamlOptions, read_yaml_options
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.states import entries_below, load_state, require_tensors
+from gsgen.reference_plugins.loading.yaml_options import YamlOptions, read_yaml_options
 
 _CONFIG_FILES = (".hydra/config.yaml", "config.yaml")
 _WEIGHT_FILES = ("model_latest.pth", "model_best.pth", "model.pth")

@@ -1,1 +1,1 @@
-"""How are animatable avatars exported: GauHuman, LHM and R3-Avatar?"""
+"""How are animatable avatars exported: GART, GauHuman, LHM and R3-Avatar?"""

@@ -65,7 +65,7 @@ def build(
         add_hands=hands == "raw",
     )
     return with_motion(
-        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body.kind, fps=fps, loop=loop, spacing=spacing
     )
 
 

@@ -70,7 +70,7 @@ def build(
     motion_recording = read_motion(motion, read.body.joints) if motion else None
     avatar = LHM(read, face, expression=not no_expression, bodies=instances)
     return with_motion(
-        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body.kind, fps=fps, loop=loop, spacing=spacing
     )
 
 

@@ -111,7 +111,7 @@ def build(
         progress=lambda frame: _show_progress(frame, len(poses)),
     )
     return with_motion(
-        avatar, avatar.actors, motion_recording, read.body, fps=fps, loop=loop, spacing=spacing
+        avatar, avatar.actors, motion_recording, read.body.kind, fps=fps, loop=loop, spacing=spacing
     )
 
 

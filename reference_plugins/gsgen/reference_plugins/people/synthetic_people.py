@@ -3,7 +3,7 @@
 Gaussians are on a body of tubes, coloured as skin and clothes; networks add slight noise.
 """
 
-__all__ = ["write_gauhuman", "write_lhm", "write_r3"]
+__all__ = ["write_gart", "write_gauhuman", "write_lhm", "write_r3"]
 
 import sys
 from collections.abc import Iterator, Mapping
@@ -15,13 +15,20 @@ from typing import Any
 
 import numpy as np
 import torch
+import yaml
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.formats import Splats, write_ply
 from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.bodies.body_models import Body, read_body
-from gsgen.reference_plugins.bodies.rest_pose import big_pose, posed_vertices
+from gsgen.reference_plugins.bodies.rest_pose import (
+    big_pose,
+    joint_transforms,
+    joints_of,
+    posed_vertices,
+    rodrigues,
+)
 from gsgen.reference_plugins.bodies.synthetic_body import (
     PersonOptions,
     body_arrays,
@@ -33,6 +40,12 @@ from gsgen.reference_plugins.writing.run_files import write_cfg_args, write_colu
 
 _OPTIONS_WITHOUT_POSE_NETS = PersonOptions()
 _OPTIONS_WITH_POSE_NETS = PersonOptions(nets=True)
+# GART's canonical poses: joint → its rotation around z.
+_GART_POSES: Mapping[str, Mapping[int, float]] = {
+    "t_pose": {},
+    "da_pose": {1: np.pi / 6, 2: -np.pi / 6},
+    "a_pose": {1: 0.2, 2: -0.2, 16: -0.8, 17: 0.8},
+}
 
 
 def _assets(folder: Path, options: PersonOptions) -> Body:
@@ -40,12 +53,12 @@ def _assets(folder: Path, options: PersonOptions) -> Body:
     return read_body(write_body(folder / "assets" / file, options), options.joints)
 
 
-def _splats(options: PersonOptions, body: Body) -> Splats:
-    """Return Gaussians of the training pose near random vertices, coloured as skin and clothes."""
+def _splats(options: PersonOptions, body: Body, pose: Float[np.ndarray, "j 3"]) -> Splats:
+    """Return Gaussians of a body in a pose, near random vertices, coloured as skin and clothes."""
     rng = np.random.default_rng([options.seed, 2])
     count = options.count
     nearest_vertices = rng.integers(0, options.vertices, count)
-    posed_points = posed_vertices(body, big_pose(body), np.zeros(0))
+    posed_points = posed_vertices(body, pose, np.zeros(0))
     position = posed_points[nearest_vertices] + rng.normal(0, 0.012, (count, 3))
     sh = rng.normal(0, 0.03, (count, (options.degree + 1) ** 2, 3))
     sh[:, 0] += (clothing_colors(body.template[nearest_vertices], options) - 0.5) / SH_C0
@@ -65,7 +78,7 @@ def write_gauhuman(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_
     body = _assets(folder, options)
     iteration_folder = folder / "point_cloud/iteration_1200"
     iteration_folder.mkdir(parents=True, exist_ok=True)
-    write_ply(iteration_folder / "point_cloud.ply", _splats(options, body))
+    write_ply(iteration_folder / "point_cloud.ply", _splats(options, body, big_pose(body)))
     if options.nets:
         pose, weights = _pose_nets(options)
         path = folder / "mlp_ckpt/iteration_1200/ckpt.pth"
@@ -92,6 +105,149 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
         name: value[:, :, None] if value.ndim == 2 else value for name, value in weights.items()
     }
     return pose, conv_weights
+
+
+def write_gart(
+    folder: Path,
+    options: PersonOptions = _OPTIONS_WITHOUT_POSE_NETS,
+    *,
+    bones: int = 4,
+    frames: int = 0,
+    memory: str = "voxel",
+    corrects: bool = True,
+    resolution: int = 12,
+    pose: str = "da_pose",
+    scales: tuple[float, float] = (0.0, 1.0),
+    noise: float = 0.1,
+) -> Path:
+    """Write a synthetic GART avatar in the layout of its solver, and return the folder.
+
+    Args:
+        folder: Where ``model.pth`` and ``people.yaml`` are written.
+        options: Sizes and seed; ``degree`` is that of the spherical harmonics, 0 to 4.
+        bones: Number of additional bones.
+        frames: Training frames that move the bones; with 0 a network of the pose does.
+        memory: Where corrections of the skinning weights are: ``voxel`` or ``point``.
+        corrects: Whether the joints' weights are corrected.
+        resolution: Cells of the grid along x and y; a quarter of them along z.
+        pose: The canonical pose: ``t_pose``, ``da_pose`` or ``a_pose``.
+        scales: The smallest and the largest standard deviation.
+        noise: Deviation of the bones' weights; a fifth of it that of corrections.
+    """
+    body = read_body(write_body(folder / "body.pkl", options), options.joints)
+    (folder / "body.pkl").unlink()  # the state dict holds its joints
+    random = torch.Generator().manual_seed(options.seed + 2)
+    canonical = np.zeros((body.joints, 3))
+    for joint, angle in _GART_POSES[pose].items():
+        canonical[joint, 2] = angle
+    splats, (low, high) = _splats(options, body, canonical), scales
+    share = (np.exp(splats.log_scale.astype(np.float64)) - low) / (high - low)
+    count, is_voxel = options.count, memory == "voxel"
+    sh = splats.sh.reshape(count, -1)
+    own_weights = (
+        noise
+        / 5
+        * torch.randn((count, 0 if is_voxel or not corrects else body.joints), generator=random)
+    )
+    own_bones = torch.randn((count, 0 if is_voxel else bones), generator=random)
+    state = {
+        "_xyz": torch.from_numpy(splats.position),
+        "_rotation": torch.from_numpy(splats.rotation),
+        "_scaling": torch.logit(torch.from_numpy(share).clamp(1e-3, 1 - 1e-3)).float(),
+        "_opacity": torch.from_numpy(splats.logit_opacity)[:, None],
+        "_features_dc": torch.from_numpy(sh[:, :3].copy()),
+        "_features_rest": torch.from_numpy(sh[:, 3:].copy()),
+        "_w_correction_dc": own_weights,
+        "_w_correction_rest": noise * own_bones,
+        "_features_localcode": torch.zeros(count, 0),
+        "xyz_gradient_accum": torch.zeros(count),
+        "xyz_gradient_denom": torch.zeros(count, dtype=torch.int64),
+        "max_radii2D": torch.zeros(count),
+        **_gart_template(body, canonical, resolution),
+        **_gart_bones(options, bones, frames, random),
+    }
+    grid = state["template.voxel_deformer.lbs_voxel_base"]
+    if is_voxel and corrects:
+        correction = noise / 5 * torch.randn(grid.shape, generator=random)
+        state["template.voxel_deformer.voxel_w_correction"] = correction
+    if is_voxel and bones:
+        bone_weights = torch.randn((1, bones, *grid.shape[2:]), generator=random)
+        state["template.voxel_deformer.additional_correction"] = noise * bone_weights
+    profile = {
+        "CANO_POSE_TYPE": pose,
+        "VOXEL_DEFORMER_RES": resolution,
+        "W_CORRECTION_FLAG": corrects,
+        "W_REST_DIM": bones,
+        "W_REST_MODE": "delta-list" if frames else "pose-mlp",
+        "W_MEMORY_TYPE": memory,
+        "MAX_SCALE": high,
+        "MIN_SCALE": low,
+        "MAX_SPH_ORDER": options.degree,
+    }
+    (folder / "people.yaml").write_text(yaml.safe_dump(profile, sort_keys=False), "utf-8")
+    torch.save(state, folder / "model.pth")
+    return folder
+
+
+def _gart_template(
+    body: Body, canonical: Float[np.ndarray, "j 3"], resolution: int
+) -> dict[str, Tensor]:
+    """Return the buffers of a body in the canonical pose, with a grid of its skinning weights."""
+    from scipy.spatial import cKDTree
+
+    joints = joints_of(body, np.zeros(0))
+    rotations = rodrigues(canonical)
+    transforms = np.tile(np.eye(4), (body.joints, 1, 1))
+    transforms[:, :3] = joint_transforms(rotations, joints, body.parents)
+    vertices = posed_vertices(body, canonical, np.zeros(0))
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    ratio, offset, scale = 4.0, (low + high) / 2, 1.2 * (high - low).max() / 2
+    cells = (resolution // 4, resolution, resolution)
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, size) for size in cells), indexing="ij")
+    points = np.stack([x, y, z / ratio], axis=-1).reshape(-1, 3) * scale + offset
+    distances, nearest_vertices = cKDTree(vertices).query(points, k=8)
+    nearness = 1 / distances.clip(1e-4)
+    nearness /= nearness.sum(axis=1, keepdims=True)
+    weights = np.einsum("nk,nkj->jn", nearness, body.weights[nearest_vertices])
+    layer = "template._template_layer"
+    arrays = {
+        "template.init_beta": np.zeros(10),
+        "template.canonical_pose": rotations,
+        "template.A0_inv": np.linalg.inv(transforms),
+        "template.J_canonical": joints[None],
+        "template.j0_t": joints[0],
+        f"{layer}.v_template": body.template,
+        f"{layer}.lbs_weights": body.weights,
+        "template.voxel_deformer.ratio": np.array(ratio),
+        "template.voxel_deformer.global_scale": np.array(1.2),
+        "template.voxel_deformer.scale": np.array(scale),
+        "template.voxel_deformer.offset": offset[None, None],
+        "template.voxel_deformer.lbs_voxel_base": weights.reshape(1, body.joints, *cells),
+        "template.voxel_deformer.grid_denorm": points[None],
+    }
+    state = {name: torch.from_numpy(array.astype(np.float32)) for name, array in arrays.items()}
+    return state | {f"{layer}.parents": torch.tensor(body.parents)}
+
+
+def _gart_bones(
+    options: PersonOptions, bones: int, frames: int, noise: torch.Generator
+) -> dict[str, Tensor]:
+    """Return the network of the pose that moves the bones, or their steps in training frames."""
+    if not bones:
+        return {}
+    if frames:
+        shape = (frames, bones, 3)
+        return {
+            "add_bones.dr_list": 0.1 * torch.randn(shape, generator=noise),
+            "add_bones.dt_list": 0.02 * torch.randn(shape, generator=noise),
+        }
+    state: dict[str, Tensor] = {}
+    inputs = 3 * (options.joints - 1)
+    for index in range(2):
+        state |= random_linear(f"add_bones.mlp_layers.{index}.0", inputs, options.width, noise)
+        inputs = options.width
+    head = random_linear("head", inputs, 7 * bones, noise, 0.1)["head.weight"]
+    return state | {"add_bones.mlp_output_head.weight": head}
 
 
 def write_lhm(folder: Path, options: PersonOptions = _OPTIONS_WITHOUT_POSE_NETS) -> Path:
@@ -164,7 +320,7 @@ def write_r3(folder: Path, options: PersonOptions = _OPTIONS_WITH_POSE_NETS) -> 
     body = _assets(folder, options)
     noise = torch.Generator().manual_seed(options.seed + 1)
     with _training_classes() as classes:
-        fields = _r3_fields(options, _splats(options, body), noise, classes)
+        fields = _r3_fields(options, _splats(options, body, big_pose(body)), noise, classes)
         torch.save((fields, 60000), folder / "chkpnt60000.pth")
     return folder
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.spacetime.rotor_checkpoint import RotorSplats
-from gsgen.reference_plugins.tensors.harmonics import harmonic_sum
+from gsgen.reference_plugins.tensors.harmonics import harmonic_sum, max_brightness
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, covariance_upper, safe_normalize, upper_triangle
 
@@ -148,7 +148,10 @@ class Rotor4DGS(GaussianGenerator):
         for name, value in constants.items():
             self.register_buffer(name, value.float())
         if color == "rgb":
-            self.color_range = (0.0, _max_brightness(splats))
+            largest = splats.sh.abs()
+            if splats.changing_sh.shape[1]:
+                largest = largest + splats.changing_sh.abs().sum(dim=1)
+            self.color_range = (0.0, max_brightness(largest))
 
     def forward(self, time: Float[Tensor, "1"], camera: Tensor | None = None) -> Gaussians:
         """Return the Gaussians at a time, from 0 to 1, with the colours that a camera sees."""
@@ -171,18 +174,3 @@ class Rotor4DGS(GaussianGenerator):
         direction = safe_normalize(self.position - camera_centre(camera)[None])
         rgb = torch.relu(0.5 + harmonic_sum(sh.unbind(1), direction))
         return Gaussians(position=position, opacity=opacity, covariance=covariance, rgb=rgb)
-
-
-def _max_brightness(splats: RotorSplats) -> float:
-    """Return an upper bound of the Gaussians' RGB in any direction, rounded up to a tenth.
-
-    For each degree l, |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π).
-    """
-    largest_coefficients = splats.sh.abs()
-    if splats.changing_sh.shape[1]:
-        largest_coefficients = largest_coefficients + splats.changing_sh.abs().sum(dim=1)
-    total = torch.full_like(largest_coefficients[:, 0], 0.5)
-    for degree in range(math.isqrt(largest_coefficients.shape[1])):
-        part = largest_coefficients[:, degree**2 : (degree + 1) ** 2]
-        total = total + part.norm(dim=1) * math.sqrt((2 * degree + 1) / (4 * math.pi))
-    return max(1.0, math.ceil(10 * float(total.max())) / 10)

@@ -35,9 +35,9 @@ class YamlOptions:
             raise self.fault(name, value, "a list of whole numbers")
         return tuple(value)
 
-    def number(self, name: str) -> float:
+    def number(self, name: str, default: float | None = None) -> float:
         """Return an option that is a number."""
-        value = self._value(name, None)
+        value = self._value(name, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self.fault(name, value, "a number")
         return float(value)
