@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from gsgen.conformance.viewer_kit.case import KitFrame, kit_camera
-from gsgen.contract.probing.picture_probes import synthetic_pictures
 from gsgen.contract.spec.manifest import GeneratorManifest, Input
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
@@ -52,7 +51,6 @@ FAMILIES: Mapping[str, Family] = {
     "gauhuman": Family(write=synthetic.write_gauhuman, has_motion=True, tolerance=_TRIGONOMETRY),
     "gaussian-avatars": Family(write=synthetic.write_gaussian_avatar),
     "hexplane-4dgs": Family(write=synthetic.write_hexplane),
-    "lgm": Family(write=synthetic.write_lgm, options={"side": 16}),
     "lhm": Family(write=synthetic.write_lhm, has_motion=True, tolerance=_TRIGONOMETRY),
     "octree-anygs": Family(write=synthetic.write_anygs),
     "octree-gs": Family(write=synthetic.write_octree),
@@ -61,15 +59,13 @@ FAMILIES: Mapping[str, Family] = {
     "sc-gs": Family(write=synthetic.write_sc_gs, tolerance=_TRIGONOMETRY),
     "scaffold-gs": Family(write=synthetic.write_scaffold),
     "spacetime-gaussians": Family(write=synthetic.write_spacetime),
-    "splatter-image": Family(write=partial(synthetic.write_splatter_image, side=16, pictures=2)),
 }
 
 
 def plugin_names() -> set[str]:
     """Return the plugins that export generators of Gaussians from checkpoints of a method."""
-    names = {plugin.name for plugin in installed_plugins()}
-    # Models of the first two have no inputs, and those of the others draw no Gaussians.
-    return names - {"static", "2dgs"} - {"denoiser", "stylise"}
+    names = {plugin.name for plugin in installed_plugins() if "image" not in plugin.inputs}
+    return names - {"static", "2dgs"}  # whose models have no inputs
 
 
 def family_generator(name: str, folder: Path) -> GaussianGenerator:
@@ -121,9 +117,6 @@ def _value(declared: Input, *, number: int, rng: np.random.Generator) -> Any:
     low, high = declared.range or (0, 0)
     if declared.role == "time":
         return declared.name, np.array([low + (high - low) * number / FRAMES], np.float32)
-    if declared.role == "image":
-        assert declared.shape is not None
-        return declared.name, synthetic_pictures(declared.shape, rng).astype(np.float32)
     if declared.role == "expression":
         return declared.name, rng.uniform(low / 2, high / 2, declared.shape).astype(np.float32)
     return declared.name, None

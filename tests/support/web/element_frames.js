@@ -1,10 +1,9 @@
 // Draw frames by the generator of an element, and return its rows and pictures as base64.
-async ([name, frames, pictures]) => {
+async ([name, frames]) => {
   const element = document.querySelector(`gsgen-model[name="${name}"]`);
-  if (pictures) element.pictures = pictures;
   element.scrollIntoView();
   const pause = () => new Promise((resolve) => setTimeout(resolve, 50));
-  while (!element.complete) await pause();
+  while (!element.report) await pause();
   // The element's own frames would run the model for another camera between these.
   element._requestFrame = () => {};
   cancelAnimationFrame(element._frameRequest);

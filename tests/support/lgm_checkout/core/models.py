@@ -1,9 +1,9 @@
 """The network, which needs packages that are not installed."""
 
+import roma  # noqa: F401
 import torch
 import torch.nn.functional as F  # noqa: N812
 from diff_gaussian_rasterization import GaussianRasterizer  # noqa: F401
-from kiui.lpips import LPIPS  # noqa: F401
 from torch import Tensor, nn
 
 from core.options import Options
