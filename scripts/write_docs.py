@@ -58,6 +58,7 @@ PARTS: dict[str, Part] = {
     "corpus-good": corpus.good,
     "finding": runs.finding,
     "kinds": manifest.kinds,
+    "field-mutations": contract.field_mutations,
     "fields": manifest.fields,
     "limits": contract.limits,
     "operator-profiles": contract.operator_profiles,

@@ -6,6 +6,11 @@ import numpy as np
 
 from docs_parts.rules import ours
 from docs_parts.tables import code, table
+from gsgen.conformance.fixtures.field_mutations import (
+    FIELD_MUTATIONS,
+    UNTESTED_FIELDS,
+    manifest_fields,
+)
 from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.fields.roles import ROLES, shapes_of
@@ -66,6 +71,21 @@ def operator_profiles() -> str:
         for profile in READER_PROFILES.values()
     ]
     return table(("profile", "operator sets", "operators"), rows)
+
+
+def field_mutations() -> str:
+    """Return every manifest field with a wrong value and the rule that notices, or the reason."""
+    mutations = {mutation.field: mutation for mutation in FIELD_MUTATIONS}
+    rows = []
+    for name in manifest_fields():
+        part, _, field = name.partition(".")
+        label = f"`{part}.{field.rstrip('_')}`"
+        if name in mutations:
+            rule = mutations[name].rule
+            rows.append((label, mutations[name].words, f"[{rule}](../rules/{rule}.md)"))
+        else:
+            rows.append((label, "–", f"no rule: {UNTESTED_FIELDS[name]}"))
+    return table(("field", "wrong value", "noticed by"), rows)
 
 
 def row(of: str = "gaussians") -> str:

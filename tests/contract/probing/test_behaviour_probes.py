@@ -71,24 +71,13 @@ def test_consecutive_times_differ_by_a_sixtieth_of_a_second():
     np.testing.assert_allclose(steps, 1 / 60, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("frames", "visited_cameras"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
-)
-def test_times_within_frames_are_probed(frames, visited_cameras):
+@pytest.mark.parametrize(("frames", "count"), [(1, 0), (2, 2), (12, 6), (64, 6), (500, 6)])
+def test_times_within_some_frames_are_probed(frames, count):
     _, result = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
-    assert len(result["frames"]) == visited_cameras
-    for probe in result["frames"]:
-        number = int(probe.label.split()[1])
+    assert len(result["within frames"]) == count
+    for probe in result["within frames"]:
+        number = int(probe.label.split()[2])
         assert int(probe.inputs["time"][0] * frames) == number
-
-
-@pytest.mark.parametrize(("frames", "visited_cameras"), [(2, 2), (64, 64), (65, 8)])
-def test_frame_numbers_are_probed_from_first_to_last(frames, visited_cameras):
-    entry = Input(name="frame", role="frame_index", range=(10.0, 9.0 + frames), frames=frames)
-    _, result = trials(entry)
-    numbers = values(result["frames"], "frame")
-    assert len(numbers) == len(set(numbers)) == visited_cameras
-    assert 10 <= min(numbers) <= max(numbers) <= 9 + frames
 
 
 def test_every_behaviour_run_is_extra_and_one_is_unoptimised():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsgen.contract.probing import sandbox_worker
 from gsgen.contract.probing.probes import CameraPlacement, Probe, as_tensor, default_probes
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.probing.survey_probes import SIDE_LABEL, survey_probes
@@ -37,7 +36,7 @@ def eye_of(view):
 @pytest.mark.parametrize("order", ["column", "row"])
 def test_cameras_stand_inside_far_away_and_on_twenty_sides(order):
     probes = surveyed(VIEW, order=order)
-    assert len(probes) == 23
+    assert len(probes) == 27
     views = [as_tensor(probe.inputs["view"], order) for probe in probes]
     for view in views:
         np.testing.assert_allclose(view[:3, :3] @ view[:3, :3].T, np.eye(3), atol=1e-6)
@@ -47,11 +46,14 @@ def test_cameras_stand_inside_far_away_and_on_twenty_sides(order):
     assert np.linalg.norm(eye_of(views[2]) - center) == pytest.approx(20 * diagonal, rel=1e-5)
     inside = [((eye_of(v) > LOW) & (eye_of(v) < HIGH)).all() for v in views]
     assert sum(inside) == 8
-    sides = np.array([view[2, :3] for view in views[3:]])
+    sides = np.array([view[2, :3] for view in views[7:]])
     # No two of twenty points of a dodecahedron are nearer than 41.8 degrees.
     cosine = sides @ sides.T - 2 * np.eye(20)
     assert cosine.max() == pytest.approx(np.sqrt(5) / 3, abs=1e-5)
-    for view in [view for view, is_inside in zip(views, inside, strict=True) if not is_inside]:
+    looking_at_it = [*views[2:5], *views[7:]]
+    for view in looking_at_it:
+        if ((eye_of(view) > LOW) & (eye_of(view) < HIGH)).all():
+            continue
         view_target = view[:3, :3] @ center + view[:3, 3]
         np.testing.assert_allclose(view_target[:2], 0, atol=1e-3)
         assert view_target[2] > 0
@@ -73,7 +75,7 @@ def test_a_camera_position_is_that_of_the_view():
 
 
 def test_inputs_take_combinations_of_the_ends_of_their_ranges():
-    probes = surveyed(VIEW, TIME, SLIDERS)[3:]
+    probes = surveyed(VIEW, TIME, SLIDERS)[7:]
     numbers = np.array([np.r_[probe.inputs["time"], probe.inputs["sliders"]] for probe in probes])
     assert set(numbers[:, 0]) == {2.0, 4.0}
     assert all(set(column) == {-1.0, 3.0} for column in numbers[:, 1:].T)
@@ -89,7 +91,7 @@ def test_a_model_without_camera_is_surveyed_at_corners_of_several_numbers():
 
 def test_a_camera_that_changes_nothing_is_not_surveyed():
     assert surveyed(VIEW, depends_on={"view": False}) == []
-    assert len(surveyed(VIEW, EYE, depends_on={"view": False})) == 23
+    assert len(surveyed(VIEW, EYE, depends_on={"view": False})) == 27
 
 
 def test_a_limit_leaves_the_cameras_inside_and_far_away():
@@ -149,15 +151,47 @@ def test_a_camera_stays_where_no_gaussian_is_drawn(tmp_path):
     np.testing.assert_array_equal(outputs["stood"], [9, 9, 9])
 
 
+def test_cameras_above_and_below_look_along_up_and_those_at_rims_stand_or_look_there():
+    probes = {probe.label: probe for probe in surveyed(VIEW)}
+    center, half = (LOW + HIGH) / 2, (HIGH - LOW) / 2
+    views = {label: as_tensor(probe.inputs["view"], "column") for label, probe in probes.items()}
+    up = np.array([0.0, -1.0, 0.0])
+    np.testing.assert_allclose(views["from above"][2, :3], -up, atol=1e-6)
+    np.testing.assert_allclose(views["from below"][2, :3], up, atol=1e-6)
+    offset = np.abs(eye_of(views["from the rim"]) - center) / half
+    assert sorted(offset.round(4)) == [0.0, 0.0, 1.0]
+    seen = views["with the scene at the picture's rim"] @ [*center, 1.0]
+    assert np.arctan2(abs(seen[0]), seen[2]) == pytest.approx(np.deg2rad(30), abs=1e-5)
+
+
+def test_few_numbers_take_every_combination_of_their_ends():
+    more = Input(name="eye", role="control", range=(0.0, 1.0), shape=(3,))
+    probes = surveyed(VIEW, TIME, more)[7:]
+    corners = {(*probe.inputs["time"], *probe.inputs["eye"]) for probe in probes}
+    assert len(corners) == 16
+
+
 @pytest.mark.parametrize("seed", range(4))
-def test_survey_probe_keeps_extremes_of_live_rows(seed, tmp_path):
-    table = np.random.default_rng(seed).normal(size=(7, 10)).astype(np.float32)
+def test_survey_probe_keeps_rows_that_look_faulty_alone(seed, tmp_path):
+    table = valid_rows(seed)
     _, sample, outputs, _ = echoed(table, tmp_path, survey=True)
     assert outputs == {}
     assert sample.not_finite == ()
-    assert (sample.extremes.count, sample.extremes.capacity) == (4, 7)
-    np.testing.assert_array_equal(sample.extremes.low, np.sort(table[:4], axis=0)[0])
-    np.testing.assert_array_equal(sample.extremes.high, np.sort(table[:4], axis=0)[-1])
+    assert (sample.survey.count, sample.survey.capacity) == (4, 7)
+    table[5, 3] = 0.5  # behind the count
+    _, _, outputs, _ = echoed(table, tmp_path, survey=True)
+    np.testing.assert_array_equal(outputs["rows"], table)
+
+
+def valid_rows(seed):
+    """Return seven packed rows, of which the last three are padding."""
+    rng = np.random.default_rng(seed)
+    table = np.zeros((7, 10), np.float32)
+    table[:4, :3], table[:4, 3] = rng.normal(size=(4, 3)), rng.uniform(0.1, 1, 4)
+    root = rng.normal(size=(4, 3, 3))
+    full = root @ root.transpose(0, 2, 1)
+    table[:4, 4:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    return table
 
 
 def test_a_survey_probe_notes_which_output_is_not_finite_in_any_row(tmp_path):
@@ -165,15 +199,3 @@ def test_a_survey_probe_notes_which_output_is_not_finite_in_any_row(tmp_path):
     table[6, 9] = np.inf  # behind the count
     _, sample, _, _ = echoed(table, tmp_path, survey=True)
     assert sample.not_finite == ("rows",)
-
-
-@pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_extremes_are_found_in_blocks_of_rows(dtype, monkeypatch):
-    rows = np.random.default_rng(3).normal(size=(10, 4)).astype(dtype)
-    monkeypatch.setattr(sandbox_worker, "_BLOCK_ROWS", 3)
-    for count in (0, 1, 3, 7, 10):
-        actual = sandbox_worker._extremes(rows, np.array(count))
-        assert actual["low"] == [float(min(column)) for column in rows[:count].T if count]
-        assert actual["high"] == [float(max(column)) for column in rows[:count].T if count]
-    rows[5, 2] = np.nan
-    assert np.isnan(sandbox_worker._extremes(rows, None)["low"][2])

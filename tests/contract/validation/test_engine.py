@@ -346,7 +346,9 @@ def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(good, monkeyp
     outcome = report.outcome("GB013")
     assert outcome.status == "skipped"
     assert "of its probes did not run, 'time=0 with zero time' first: " in outcome.reason
-    assert outcome.reason.endswith("50% of the 120 s were used up (see --timeout)")
+    assert outcome.reason.endswith(
+        "50% of the 120 s of processor time were used up (see --timeout)"
+    )
     assert report.outcome("GB010").status == "skipped"
     assert report.outcome("GI010").reason == "because GB013 was not checked"
     assert report.outcome("GB001").status == "pass"  # needs no extra probe

@@ -10,10 +10,11 @@ from gsgen.conformance.fixtures.builders.moving import input_driven_model
 from gsgen.contract.errors import ConfigInvalid, GsgenError, ManifestInvalid, ModelUnreadable
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.geometry import perspective
+from gsgen.contract.spec.input_defaults import default_tensor
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
-from gsgen.sdk.binding.bound.input_binding import InputBinding, default_tensor
+from gsgen.sdk.binding.bound.input_binding import InputBinding
 from gsgen.sdk.binding.camera_inputs import camera_values, pinhole_projection
 from support.models.small_models import HEAD, good_rows, moving, save
 
@@ -148,8 +149,12 @@ def test_defaults_are_those_of_the_specification(entry, shape, expected):
 
 
 def test_a_default_that_does_not_fill_its_input_is_refused():
+    entry = Input(name="x", role="pose", default=(1, 2))
+    binding = InputBinding(
+        name="x", dtype=np.dtype("float32"), shape=(2, 3), declared=entry, order="column"
+    )
     with pytest.raises(InputInvalid, match="default has 2 numbers, expected 6"):
-        default_tensor(Input(name="x", role="pose", default=(1, 2)), (2, 3))
+        binding.default()
 
 
 @given(st.lists(st.floats(-5, 5), min_size=16, max_size=16), st.sampled_from(["row", "column"]))

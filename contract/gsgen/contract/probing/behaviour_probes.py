@@ -1,10 +1,15 @@
 """Test inputs of behaviour rules: range ends, flipped axes, loops, frames, order of runs."""
 
 __all__ = [
+    "JOINTS",
     "LOOKING_AWAY_LABEL",
     "PATH_OFFSET",
     "REPEATED_LABEL",
+    "SINGLE_JOINT_ANGLE",
+    "STRAIGHT_PATH_LABEL",
     "TILTED_LABEL",
+    "ZERO_LABEL",
+    "joint_of_label",
     "trial_probes",
     "turned_away_probes",
 ]
@@ -16,8 +21,9 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
-from gsgen.contract.spec.fields.roles import ROLES
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.input_defaults import default_tensor
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
 
 # Suffix of the label of a probe that is run a second time.
@@ -25,17 +31,25 @@ REPEATED_LABEL = "once more"
 
 # Displacement of a camera path, in world units.
 PATH_OFFSET = (3.0, -2.0, 5.0)
+# Suffix of the label of a path of constant velocity, and the least length of that path.
+STRAIGHT_PATH_LABEL = "on a straight path"
+_MIN_PATH_EXTENT = 0.1
 
 # Camera displacement, as a fraction of the distance from the origin.
 _CAMERA_STEP = 0.3
 # Relative overshoot beyond a declared range that rounding may cause.
 _BEYOND_RANGE_FRACTION = 0.01
-# Up to this number of frames all are visited; of more, the ends and the middle in such windows.
-_MAX_ALL_FRAMES = 64
-_WINDOW_FRAMES = 8
-_FRAMES_PER_WINDOW = 4
+# Frames around the middle of the range, and at its end, within which a model is run as well.
+_WINDOW_FRAMES = 2
 _FRAME_FRACTION = 0.3
 _STEPS_PER_RANGE = 60
+# Part of the label of a probe in which the inputs of one role are zero.
+ZERO_LABEL = "with zero"
+# Name of the probes in which joints turn alone, the angle in radians, and the most joints.
+JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
+_MAX_JOINTS, _JOINT_LABEL = 24, "with a turn of joint "
+# An axis that no bone of a usual rest pose lies along.
+_JOINT_AXIS = np.array([2.0, 3.0, 6.0]) / 7
 # Suffixes of the labels of a camera that is turned about its own centre.
 TILTED_LABEL, LOOKING_AWAY_LABEL = "tilted", "looking away"
 # A tilt by 0.7 about the viewing axis and 0.15 about the vertical, and half a turn.
@@ -64,14 +78,13 @@ def trial_probes(
         yield "flipped", tuple(_flipped_axis_probes(manifest, base))
         yield "edges", tuple(_edge_probes(manifest, base))
         yield "outside", tuple(_outside_range_probes(manifest, base))
+        yield JOINTS, tuple(_joint_probes(manifest, base))
         for entry in manifest.inputs:
             if entry.role == "time" and entry.range is not None:
                 yield "loop", tuple(_loop_probes(entry, base))
                 yield "paces", tuple(_time_step_probes(entry, base))
-                yield "frames", tuple(_frames(entry, base))
+                yield "within frames", tuple(_frame_window_probes(entry, base))
                 yield "swept", tuple(_sweep_probes(manifest, entry, base))
-            elif entry.role == "frame_index" and entry.range is not None:
-                yield "frames", tuple(_frame_numbers(entry, base))
     if isinstance(manifest, TrajectoryManifest):
         yield "paths", tuple(_path_probes(manifest, base))
     if len(first) > 1:
@@ -110,9 +123,21 @@ def _path_probes(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
         yield _changed_probe(
             base, "at rest", **{entry.name: np.repeat(camera_history[-1:], len(camera_history), 0)}
         )
+        yield _changed_probe(
+            base, STRAIGHT_PATH_LABEL, **{entry.name: _straight_path(camera_history)}
+        )
         if quaternions:
             negated_history[:, 3:] *= -1
             yield _changed_probe(base, "with quaternions negated", **{entry.name: negated_history})
+
+
+def _straight_path(camera_history: Array) -> Array:
+    """Return a path of constant velocity without a turn that ends at the newest state of another."""
+    extent = max(float(np.ptp(camera_history[:, :3], axis=0).max(initial=0)), _MIN_PATH_EXTENT)
+    step = np.array([2.0, 1.0, -2.0]) / 3 * extent / max(len(camera_history) - 1, 1)
+    path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
+    path[:, :3] += (np.arange(len(path))[:, None] - (len(path) - 1)) * step
+    return path
 
 
 def _inputs_of_role(manifest: Manifest, role: str) -> list[Input]:
@@ -164,6 +189,48 @@ def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Ite
         )
 
 
+def _joint_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """Yield the rest pose with all other inputs of a person at their defaults, then single turns.
+
+    Up to 24 joints turn alone, those nearest to the root first.
+    """
+    entry = next((entry for entry in _inputs_of_role(manifest, "pose") if entry.joints), None)
+    template = base.inputs[entry.name] if entry else np.zeros(0)
+    if entry is None or template.ndim != 2 or len(entry.joints) != len(template):
+        return
+    is_quaternion = template.shape[1] == 4
+    rest = np.zeros_like(template)
+    rest[:, 0] = float(is_quaternion)
+    defaults = {
+        other.name: default_tensor(other, base.inputs[other.name].shape)
+        for other in manifest.inputs
+        if other.role not in (*CAMERA_ROLES, *PICTURE_ROLES)
+    }
+    inputs = {name: value.astype(base.inputs[name].dtype) for name, value in defaults.items()}
+    yield _changed_probe(base, "in the rest pose", **inputs | {entry.name: rest})
+    for joint in _joints_from_the_root(entry)[:_MAX_JOINTS]:
+        pose = rest.copy()
+        if is_quaternion:
+            half = SINGLE_JOINT_ANGLE / 2
+            pose[joint] = [math.cos(half), *(math.sin(half) * _JOINT_AXIS)]
+        else:
+            pose[joint] = SINGLE_JOINT_ANGLE * _JOINT_AXIS
+        yield _changed_probe(base, f"{_JOINT_LABEL}{joint}", **inputs | {entry.name: pose})
+
+
+def _joints_from_the_root(entry: Input) -> list[int]:
+    """Return the numbers of a pose's joints, those with fewer ancestors first."""
+    depths: dict[str | None, int] = {None: 0}
+    for joint in entry.joints:
+        depths[joint.name] = depths.get(joint.parent, 0) + 1
+    return sorted(range(len(entry.joints)), key=lambda k: depths[entry.joints[k].name])
+
+
+def joint_of_label(label: str) -> int:
+    """Return the number of the joint that turns alone in a probe."""
+    return int(label.rpartition(_JOINT_LABEL)[2])
+
+
 def _flipped_axis_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield test inputs with the projection matrix unchanged, and with its second row negated."""
     order = manifest.space.matrix_order if manifest.space else "column"
@@ -179,7 +246,7 @@ def _edge_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     for role in dict.fromkeys(entry.role for entry in manifest.inputs):
         names = [entry.name for entry in _inputs_of_role(manifest, role)]
         zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
-        yield _changed_probe(base, f"with zero {role}", **zeros)
+        yield replace(_changed_probe(base, f"{ZERO_LABEL} {role}", **zeros), survey=True)
     for end, words in ((0, "at the lowest"), (1, "at the highest")):
         ends = {
             entry.name: _array_filled_with(base.inputs[entry.name], span[end])
@@ -187,7 +254,7 @@ def _edge_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
             if (span := _input_range(entry, base.inputs[entry.name])) is not None
         }
         if ends:
-            yield _changed_probe(base, words, **ends)
+            yield replace(_changed_probe(base, words, **ends), survey=True)
 
 
 def _input_range(entry: Input, value: Array) -> tuple[float, float] | None:
@@ -252,35 +319,16 @@ def _time_step_probes(entry: Input, base: Probe) -> Iterator[Probe]:
                 yield _probe_at_fraction(entry, base, start + step)
 
 
-def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs at one instant of each animation frame, or of some frames if many.
+def _frame_window_probes(entry: Input, base: Probe) -> Iterator[Probe]:
+    """Yield test inputs within some frames, in the middle of the range and at its end.
 
     A model that rounds time down to one frame too few shows one frame twice, near the middle
     of the range.
     """
-    if not entry.frames or entry.frames < 2:
-        return
-    count = entry.frames
+    count = entry.frames or 0
     middle_frame = int(_FRAME_FRACTION * count)
-    frame_numbers = {k for start in (0, middle_frame - _WINDOW_FRAMES, middle_frame, count - _WINDOW_FRAMES) for k in
-              range(max(0, start), min(count, start + _WINDOW_FRAMES))}  # fmt: skip
-    for frame in range(count) if count <= _MAX_ALL_FRAMES else sorted(frame_numbers):
-        probe = _probe_at_fraction(entry, base, (frame + _FRAME_FRACTION) / count)
-        yield replace(probe, label=f"frame {frame}", survey=True)
-
-
-def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs at each frame number, or at some of them if there are many."""
-    assert entry.range is not None
-    if not entry.frames or entry.frames < 2:
-        return
-    low, high = int(entry.range[0]), int(entry.range[1])
-    window_starts = (low, low + entry.frames // 2)
-    count, length = (
-        (1, _MAX_ALL_FRAMES) if entry.frames <= _MAX_ALL_FRAMES else (2, _FRAMES_PER_WINDOW)
-    )
-    numbers = {k for start in window_starts[:count] for k in range(start, start + length)}
-    for number in sorted(numbers & set(range(low, min(high, low + entry.frames - 1) + 1))):
-        frame = _array_filled_with(base.inputs[entry.name], number)
-        probe = _changed_probe(base, f"at frame {number}", **{entry.name: frame})
-        yield replace(probe, label=f"frame {number}", survey=True)
+    middle = range(max(0, middle_frame - _WINDOW_FRAMES), middle_frame + _WINDOW_FRAMES)
+    for frame in sorted({*middle, *range(max(0, count - _WINDOW_FRAMES), count)}):
+        if frame < count > 1:
+            probe = _probe_at_fraction(entry, base, (frame + _FRAME_FRACTION) / count)
+            yield replace(probe, label=f"within frame {frame}", survey=True)

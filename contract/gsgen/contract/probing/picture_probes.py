@@ -4,7 +4,7 @@ Networks that were trained on photographs amplify noise. These pictures have the
 photographs (amplitude falls with frequency), and are computed by a formula.
 """
 
-__all__ = ["intrinsics_of_pictures", "synthetic_pictures", "views_of_pictures"]
+__all__ = ["intrinsics_of_pictures", "synthetic_pictures", "test_patterns", "views_of_pictures"]
 
 from collections.abc import Callable
 
@@ -42,6 +42,23 @@ def synthetic_pictures(
             wave = np.cos(path[None] + offset[:, None, None])
             picture += _FIRST_AMPLITUDE * 0.5**octave * wave
     return pictures
+
+
+def test_patterns(shape: tuple[int, ...]) -> dict[str, Float[np.ndarray, "v c h w"]]:
+    """Return pictures with values in [0, 1] that formulas give, by their names.
+
+    Args:
+        shape: Number of pictures and channels, height and width.
+    """
+    height, width = shape[-2:]
+    y, x = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
+    patterns = {
+        "a black picture": np.zeros((height, width)),
+        "a white picture": np.ones((height, width)),
+        "a chequerboard": ((x // 4 + y // 4) % 2).astype(np.float64),
+        "a gradient": (x + y) / max(width + height - 2, 1),
+    }
+    return {name: np.broadcast_to(pattern, shape).copy() for name, pattern in patterns.items()}
 
 
 def views_of_pictures(

@@ -8,19 +8,20 @@ from dataclasses import dataclass, field, replace
 
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away_probes
+from gsgen.contract.probing.behaviour_probes import ZERO_LABEL, trial_probes, turned_away_probes
+from gsgen.contract.probing.named_moments import moments_of
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
-from gsgen.contract.probing.survey_probes import survey_probes
 from gsgen.contract.probing.test_vectors import vector_probes
-from gsgen.contract.spec.manifest import GeneratorManifest, Input, PostProcessManifest
+from gsgen.contract.spec.manifest import Input, PostProcessManifest
 from gsgen.contract.spec.severity import Level
 
 # Budget of bytes for all distinct outputs, which are temporary files.
 _OUTPUT_BUDGET = 1 << 30
 _MAX_PROBES, _MIN_PROBES = 8, 3
-# Budget of bytes that survey probes compute, and the fewest of them: inside, in a Gaussian, far.
+# Budget of bytes that survey probes compute, and the fewest of them: inside, in a Gaussian, far,
+# above, below and two at rims.
 _SURVEY_BUDGET = 1 << 28
-_MIN_SURVEY_PROBES = 3
+_MIN_SURVEY_PROBES = 7
 _MAX_VARIANTS = 2
 # Bytes of an element while inputs are drawn: float64.
 _MAX_ITEM_BYTES = 8
@@ -28,6 +29,11 @@ _MAX_ITEM_BYTES = 8
 _DEFAULT_OPEN_SIZE = 64
 # Odd height and width of one more run of an image model of open size.
 _ODD_IMAGE_SIZE = (37, 53)
+_IMAGE_RANK = 4
+# Groups of moments whose runs hold for every rule of single runs.
+_MOMENT_GROUPS = (
+    *("defaults", "frames", "survey", "screens", "pictures", "corners", "sizes", "histories"),
+)
 # Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is unknown.
 _FETCHABLE_DTYPES = (
     *("float32", "float16", "float64", "bool", None),
@@ -45,7 +51,8 @@ class Plan:
         repeated: Two consecutive runs with the same inputs.
         revisited: Two runs with the same inputs and other runs between them.
         variants: Role → (base run, runs that differ from it in that role alone).
-        trials: Name → the runs for one rule.
+        trials: Name → the runs for one rule, or for several.
+        moments: The runs at named moments, which hold for every rule of single runs.
         seed: Seed of the probes of value rules.
     """
 
@@ -55,6 +62,7 @@ class Plan:
     revisited_pair: tuple[int, int] | None = None
     variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
     trials: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    moments: tuple[int, ...] = ()
     seed: int = 0
 
 
@@ -88,13 +96,20 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         *vector_probes(manifest, shapes, dtypes, seed, count),
         *trial_probes(manifest, first[base], first),
     ]
-    if isinstance(manifest, GeneratorManifest):
-        limit = max(_MIN_SURVEY_PROBES, _SURVEY_BUDGET // max(_frame_bytes(subject), 1))
-        # Survey probes come before the last group, which needs a session of its own.
-        groups.insert(-1, ("survey", tuple(survey_probes(manifest, first, limit))))
+    limit = max(_MIN_SURVEY_PROBES, _SURVEY_BUDGET // max(_frame_bytes(subject), 1))
+    # Each moment is run once: one that a value rule checks is found by its inputs.
+    known = {_input_key(probe): index for index, probe in enumerate(first) if not probe.zeros}
+    for name, probe in moments_of(manifest, first, _open_axes(subject), limit):
+        index = known.setdefault(_input_key(probe), len(probes))
+        trials[name] = (*trials.get(name, ()), index)
+        if index == len(probes):
+            probes.append(probe)
     for name, group in groups:
         trials[name] = tuple(range(len(probes), len(probes) + len(group)))
         probes.extend(group)
+    # The ends of all ranges are named, too; zero matrices are not cameras.
+    ends = (index for index in trials.get("edges", ()) if not _is_zero_edge(probes[index]))
+    named = (index for name in _MOMENT_GROUPS for index in trials.get(name, ()))
     revisited_pair = (base, repeated_count) if len(first) > 1 else None
     repeated = (repeated_count, repeated_count + 1)
     return Plan(
@@ -104,8 +119,32 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         revisited_pair=revisited_pair,
         variants=variants,
         trials=trials,
+        moments=tuple(dict.fromkeys((*named, *ends))),
         seed=seed,
     )
+
+
+def _input_key(probe: Probe) -> tuple[object, ...]:
+    arrays = (value.tobytes() for value in probe.inputs.values())
+    shapes = (value.shape for value in probe.inputs.values())
+    return (*arrays, *shapes, probe.placement)
+
+
+def _is_zero_edge(probe: Probe) -> bool:
+    return ZERO_LABEL in probe.label
+
+
+def _open_axes(subject: InspectedModel) -> dict[int, int]:
+    """Return the open axes of an image, height 2 and width 3: which number of a size each takes.
+
+    Axes that the graph calls by the same name have the same size.
+    """
+    for entry, tensor in subject.inputs_of("image"):
+        dims = tensor.dims or ()
+        if entry.shape is None and len(dims) == _IMAGE_RANK:
+            numbers = {2: 0, 3: 0 if dims[2] == dims[3] else 1}
+            return {axis: n for axis, n in numbers.items() if not isinstance(dims[axis], int)}
+    return {}
 
 
 def fetched_outputs(subject: InspectedModel) -> list[str]:

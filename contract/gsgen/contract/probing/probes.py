@@ -13,6 +13,7 @@ __all__ = [
     "Probe",
     "SceneExtent",
     "as_tensor",
+    "cast_array",
     "default_probes",
     "dependency_probes",
 ]
@@ -112,7 +113,7 @@ def default_probes(
         range_fraction = index / (count - 1)
         size = _picture_size(manifest, shapes)
         inputs = {
-            i.name: _cast_array(
+            i.name: cast_array(
                 _sample_picture_input(i, manifest, shapes[i.name], size, range_fraction, rng)
                 if i.role in PICTURE_ROLES and isinstance(manifest, GeneratorManifest)
                 else _sample_input(i, manifest, shapes[i.name], range_fraction, rng),
@@ -245,7 +246,7 @@ def _interpolate(low: float, high: float, range_fraction: Array) -> Array:
     return np.asarray(low * (1 - range_fraction) + high * range_fraction)
 
 
-def _cast_array(values: Array, dtype: str) -> Array:
+def cast_array(values: Array, dtype: str) -> Array:
     """Convert numbers to another dtype; those beyond its range are clamped to the range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":

@@ -11,7 +11,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.differences import largest_difference, paired_blocks
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.sandbox import Execution, Extremes, Sample
+from gsgen.contract.probing.sandbox import Execution, RowCount, Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,9 @@ class ProbeRun:
         return self.sample.digest if self.sample is not None else ""
 
     @property
-    def extremes(self) -> Extremes | None:
-        """Gaussian count and column extremes of a run that stored no output rows; else None."""
-        return self.sample.extremes if self.sample is not None else None
+    def row_count(self) -> RowCount | None:
+        """The Gaussian count of a run at a named moment; else None."""
+        return self.sample.survey if self.sample is not None else None
 
     @property
     def not_finite(self) -> tuple[str, ...]:
@@ -137,13 +137,20 @@ class Behaviour:
 
     def trial_runs(self, trial: str) -> list[ProbeRun]:
         """Return the finished model runs of a group of test inputs; record the unfinished ones."""
-        probe_indices = self.trial.plan.trials.get(trial, ())
+        return self._recorded_runs(self.trial.plan.trials.get(trial, ()))
+
+    def _recorded_runs(self, probe_indices: tuple[int, ...]) -> list[ProbeRun]:
         unfinished_indices = (index for index in probe_indices if not self._has_finished(index))
         self.unfinished_probes.extend(
             (self.trial.plan.probes[index].label, self.trial.execution.runs[index].missing_resource)
             for index in unfinished_indices
         )
         return [self._probe_run(index) for index in probe_indices if self._has_finished(index)]
+
+    @property
+    def moments(self) -> list[ProbeRun]:
+        """The finished model runs at named moments; unfinished ones are recorded."""
+        return self._recorded_runs(self.trial.plan.moments)
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
         """Return the finished model runs with the given indices in the planned list of runs."""

@@ -4,7 +4,7 @@ The child (:mod:`gsgen.contract.probing.sandbox_worker`) may hang, crash or be k
 managed to write and says what happened.
 """
 
-__all__ = ["Execution", "Extremes", "Fault", "Run", "Sample", "execute"]
+__all__ = ["Execution", "Fault", "RowCount", "Run", "Sample", "execute"]
 
 import errno
 import json
@@ -25,12 +25,17 @@ from gsgen.contract.model.files_beside import loaded_files, require_loadable
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.drafts import temporary_folder
-from gsgen.contract.process.limits import Limits, inherited_memory_limit
+from gsgen.contract.process.limits import Limits, inherited_memory_limit, processor_seconds_of
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
 _HOST_FAULT_BYTES = 4096
 _FILES_HINT = "Allow this process more open files, for example with `ulimit -n 1024`."
+
+# A child that works may take this many times its time limit on a busy machine; it is looked at so
+# often from then on.
+_MAX_CLOCK_RATIO = 8.0
+_POLL_SECONDS = 0.25
 
 FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
@@ -45,21 +50,11 @@ class Fault:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Extremes:
-    """The number of Gaussians that a run outputs, and the minimum and maximum of each column.
-
-    Attributes:
-        count: The count as the model outputs it, or the capacity if it has none.
-        capacity: Rows of the output.
-        low: The lowest value of each field; empty without live rows.
-        high: The highest value of each field.
-    """
+class RowCount(NamedTuple):
+    """The number of live Gaussians of a run, as the model gives it, and the rows of its output."""
 
     count: int
     capacity: int
-    low: tuple[float, ...]
-    high: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +65,9 @@ class Sample:
         index: Its number, counted in order of appearance.
         outputs: Output name → array, memory-mapped from the child's file.
         digest: SHA-256 over all outputs, see :func:`gsgen.contract.probing.sandbox_worker.digest_of`.
-        thin: Only every so many rows were kept; none, for a survey probe.
+        thin: Only every so many rows were kept; at a named moment all of a faulty run, or none.
         not_finite: Outputs with a value that is NaN or infinite, where thin.
-        extremes: Of packed rows at a survey probe; else None.
+        survey: The row count at a named moment; else None.
     """
 
     index: int
@@ -80,7 +75,7 @@ class Sample:
     digest: str = ""
     thin: bool = False
     not_finite: tuple[str, ...] = ()
-    extremes: Extremes | None = None
+    survey: RowCount | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,6 +132,8 @@ def execute(
     *,
     rows: str = "",
     count: str = "",
+    cells: str = "",
+    per_cell: int = 0,
     has_gpu: bool = False,
     trusted: bool = False,
     **options: object,
@@ -151,6 +148,8 @@ def execute(
         worker: The module that the child runs; another one may run the model another way.
         rows: The output of packed rows, which survey probes and camera placements read.
         count: The output of the row count, which survey probes read.
+        cells: The output of cells, which survey probes read.
+        per_cell: Rows of each cell.
         has_gpu: Allow the worker the devices of GPUs.
         trusted: Do not confine the child, whose time alone is limited.
         options: What that worker wants to know besides; anything that JSON can hold.
@@ -172,6 +171,8 @@ def execute(
     options |= {
         "rows": rows,
         "count": count,
+        "cells": cells,
+        "per_cell": per_cell,
         "has_gpu": has_gpu,
         "trusted": trusted,
         "readable": [str(path) for path in readable],
@@ -258,7 +259,7 @@ def _run_child(folder: Path, seconds: float, worker: str) -> _ProcessEnd:
         assert child.stdout is not None
         with child.stdout:
             try:
-                status = child.wait(timeout=seconds)
+                status = _wait(child, seconds, counts_waiting=worker != _WORKER)
                 return _ProcessEnd(
                     status, child.stdout.read(_HOST_FAULT_BYTES).decode(errors="replace")
                 )
@@ -266,6 +267,27 @@ def _run_child(folder: Path, seconds: float, worker: str) -> _ProcessEnd:
                 return _ProcessEnd(None, "")
             finally:
                 _stop_child(child)
+
+
+def _wait(child: "subprocess.Popen[bytes]", seconds: float, *, counts_waiting: bool) -> int:
+    """Wait until a child ends, and return its status.
+
+    Unless waiting counts, as for a GPU, it gets more time where others take the processor: it may
+    use ``seconds`` of processor time, within eight times as much time of the clock.
+
+    Raises:
+        subprocess.TimeoutExpired: The time is over.
+    """
+    deadline = time.monotonic() + _MAX_CLOCK_RATIO * seconds
+    step = seconds
+    while True:
+        try:
+            return child.wait(timeout=step)
+        except subprocess.TimeoutExpired:
+            is_over = counts_waiting or time.monotonic() >= deadline
+            if is_over or processor_seconds_of(child.pid) >= seconds:
+                raise
+            step = _POLL_SECONDS
 
 
 def _stop_child(child: "subprocess.Popen[bytes]") -> None:
@@ -300,7 +322,7 @@ def _collect_results(
             digest=event["digest"],
             thin=event["thin"],
             not_finite=tuple(event["not_finite"]),
-            extremes=_extremes(event.get("extremes")),
+            survey=RowCount(**event["survey"]) if event.get("survey") else None,
         )
         for event in events
         if event["event"] == "sample"
@@ -319,13 +341,6 @@ def _collect_results(
         version=version,
         events=tuple(events),
     )
-
-
-def _extremes(facts: dict[str, Any] | None) -> Extremes | None:
-    if facts is None:
-        return None
-    low, high = tuple(facts["low"]), tuple(facts["high"])
-    return Extremes(count=facts["count"], capacity=facts["capacity"], low=low, high=high)
 
 
 def _read_events(path: Path) -> list[dict[str, Any]]:

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.contract.probing.row_screen import look_faulty
 from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
 from gsgen.contract.process.parent_watchdog import exit_with_parent
@@ -42,7 +43,9 @@ _MAX_MESSAGE_LENGTH = 2000  # some of ONNX Runtime's messages have their cause a
 # Extra probes start only within this share of the time, so that they never use it up.
 EXTRA_PROBE_TIME_SHARE = 0.5
 _SUBSAMPLE_ROWS = 1 << 14
-_BLOCK_ROWS = 1 << 18
+# Start of the key of a faulty run of a named moment whose rows are stored, and the most of them.
+_FAULTY = "faulty "
+_MAX_FAULTY_RUNS = 4
 # Arrays of inputs up to this size are kept in memory, since many probes share them.
 _MAX_PIPE_BYTES = 1 << 16
 
@@ -91,7 +94,7 @@ def _run_sandbox_job(
 def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     import onnxruntime
 
-    start_time = time.monotonic()
+    start_time = time.thread_time()  # what other processes take from the processor is not counted
     emit("started", version=onnxruntime.__version__)
     limit_memory(job["memory"])
     deadline = start_time + EXTRA_PROBE_TIME_SHARE * job["seconds"]
@@ -105,7 +108,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
         for probe in range(len(job["probes"])):
             emit("begin", probe=probe)
             extra = job["extra"][probe]
-            if extra and time.monotonic() > deadline:
+            if extra and time.thread_time() > deadline:
                 emit("run", probe=probe, sample=-1, seconds=0.0, missing_resource="time")
                 continue
             try:
@@ -125,7 +128,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
                 if probe and center is None and job["rows"] in by_name:
                     center = _mean_drawn_center(by_name[job["rows"]])
                 if job["survey"][probe]:
-                    sample = _survey_outputs(by_name, known, emit, job)
+                    sample = _survey_outputs(folder, by_name, known, emit, job)
                 else:
                     sample = keep_outputs(
                         folder, by_name, known, emit, disk=job["disk"], thin=extra
@@ -215,35 +218,44 @@ def _place_camera(
 
 
 def _survey_outputs(
-    outputs: dict[str, np.ndarray], known: dict[str, int], emit: EmitMessage, job: dict[str, Any]
+    folder: Path,
+    outputs: dict[str, np.ndarray],
+    known: dict[str, int],
+    emit: EmitMessage,
+    job: dict[str, Any],
 ) -> int:
-    """Record the digest and extremes of a run's outputs; return the index of the record."""
+    """Record the digest and the row count of a run; store its outputs only if they look faulty.
+
+    Return the index of the record. A few faulty runs are stored, as far as the disk limit allows.
+    """
     digest = digest_outputs(outputs)
-    key = f"survey {digest}"
-    if key not in known:
-        known[key] = len(known)
-        not_finite = [name for name, value in outputs.items() if not _is_finite(value)]
-        facts = {"digest": digest, "outputs": {}, "thin": True, "not_finite": not_finite}
-        extremes = _extremes(outputs.get(job["rows"]), outputs.get(job["count"]))
-        emit("sample", sample=known[key], extremes=extremes, **facts)
-    return known[key]
-
-
-def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
-    """Return the number of Gaussians before padding, and the extremes of each of their columns."""
-    if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
-        return None
-    live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
-    fields = rows[: min(max(live, 0), len(rows))]
-    # In blocks, because the converted copy of a large float16 output may exceed the memory limit.
-    starts = range(0, len(fields), _BLOCK_ROWS)
-    blocks = (fields[first : first + _BLOCK_ROWS].astype(np.float32) for first in starts)
-    ends = [(block.min(axis=0), block.max(axis=0)) for block in blocks]
-    low, high = (
-        (np.min([e[0] for e in ends], 0), np.max([e[1] for e in ends], 0)) if ends else ((), ())
+    faulty_keys = [key for key in known if key.startswith(_FAULTY)]
+    for key in (f"{_FAULTY}{digest}", f"survey {digest}"):
+        if key in known:
+            return known[key]
+    sample = len(known)
+    not_finite = [name for name, value in outputs.items() if not _is_finite(value)]
+    rows, count = outputs.get(job["rows"]), outputs.get(job["count"])
+    is_faulty = not not_finite and look_faulty(
+        rows, count, outputs.get(job["cells"]), job["per_cell"]
     )
-    column_ranges = {"low": [float(x) for x in low], "high": [float(x) for x in high]}
-    return {"count": live, "capacity": len(rows), **column_ranges}
+    size = sum(array.nbytes for array in outputs.values())
+    files: dict[str, str] = {}
+    # The disk also holds what later probes give: half of it is left to them.
+    if is_faulty and len(faulty_keys) < _MAX_FAULTY_RUNS and 2 * size < job["disk"]:
+        files = _save_outputs(folder, sample, outputs, job["disk"])
+    known[f"{_FAULTY if files else 'survey '}{digest}"] = sample
+    survey = None
+    if rows is not None and rows.ndim:
+        survey = {"count": _live_count(rows, count), "capacity": len(rows)}
+    facts = {"digest": digest, "outputs": files, "thin": True, "not_finite": not_finite}
+    emit("sample", sample=sample, survey=survey, **facts)
+    return sample
+
+
+def _live_count(rows: np.ndarray, count: np.ndarray | None) -> int:
+    is_count = count is not None and count.size and count.dtype.kind in "iu"
+    return int(count.reshape(-1)[0]) if count is not None and is_count else len(rows)
 
 
 def keep_outputs(
@@ -265,15 +277,23 @@ def keep_outputs(
     key = digest_outputs(outputs)
     if key not in known:
         known[key] = len(known)
-        files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
-        arrays = {n: subsample_rows(outputs[n]) if thin else outputs[n] for n in files}
-        _require_disk_space(folder, sum(array.nbytes for array in arrays.values()), disk)
-        for name, file in files.items():
-            np.save(folder / file, arrays[name], allow_pickle=False)
+        arrays = {n: subsample_rows(value) if thin else value for n, value in outputs.items()}
+        files = _save_outputs(folder, known[key], arrays, disk)
         not_finite = [name for name, value in outputs.items() if thin and not _is_finite(value)]
         facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
+
+
+def _save_outputs(
+    folder: Path, sample: int, arrays: dict[str, np.ndarray], disk: int
+) -> dict[str, str]:
+    """Save arrays as files of a folder; return output name → file."""
+    _require_disk_space(folder, sum(array.nbytes for array in arrays.values()), disk)
+    files = {name: f"sample_{sample}_{k}.npy" for k, name in enumerate(arrays)}
+    for name, file in files.items():
+        np.save(folder / file, arrays[name], allow_pickle=False)
+    return files
 
 
 def _require_disk_space(folder: Path, size: int, disk: int) -> None:

@@ -1,11 +1,12 @@
 """Test inputs that survey a scene: cameras in and around it, other inputs at range ends.
 
 Cameras of other probes orbit outside the bounds, and their inputs lie on one line through the
-ranges. These stand inside the scene, far away and on twenty sides, and combine the ends of ranges.
-The sandbox keeps the extremes of their outputs alone, so that a probe costs little more than a run.
+ranges. These stand inside the scene, above and below it, far away and on twenty sides, and combine
+the ends of ranges. The sandbox keeps rows of those outputs alone that look faulty, so that a probe
+costs little more than a run.
 """
 
-__all__ = ["SIDE_LABEL", "survey_probes"]
+__all__ = ["SIDE_LABEL", "corner_inputs", "ranged_inputs_of", "survey_probes"]
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +24,7 @@ from gsgen.contract.probing.probes import (
 )
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROTATION_ROLES
 from gsgen.contract.spec.geometry import look_at
-from gsgen.contract.spec.manifest import GeneratorManifest, Input
+from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 
 # Start of the label of a camera outside the bounds that looks at their centre.
 SIDE_LABEL = "from side"
@@ -35,6 +36,10 @@ _CAMERA_DISTANCES = (ORBIT_RADII, 1.1, None)
 _INSIDE_FRACTION = 0.6
 # Combinations of range ends for models without a camera.
 _MAX_CORNERS = 8
+# Up to so many numbers, all combinations of ends are taken in turn; of more, random ones.
+_MAX_COUNTED_NUMBERS = 4
+# The turn of a camera that has the scene at the rim of its picture, in radians.
+_RIM_ANGLE = np.deg2rad(30.0)
 _GOLDEN_RATIO = (1 + 5**0.5) / 2
 # The sides: vertices of a regular dodecahedron, of which eight are the diagonals of a cube.
 _SIDE_DIRECTIONS = np.array(
@@ -61,20 +66,23 @@ def survey_probes(
     """
     if len(first) < 2:
         return
-    other_inputs = [entry for entry in manifest.inputs if entry.role not in CAMERA_ROLES]
-    # Black and white pixels form no picture: pictures keep those of the first probes.
-    ranged_inputs = [
-        entry
-        for entry in other_inputs
-        if entry.range is not None and entry.role not in PICTURE_ROLES
-    ]
+    ranged_inputs = ranged_inputs_of(manifest)
     cameras = [entry for entry in manifest.inputs if entry.role in ("view", "camera_position")]
     if any(map(manifest.depends, cameras)):
         yield from list(_camera_survey_probes(manifest, ranged_inputs, first))[:limit]
     elif sum(first[1].inputs[entry.name].size for entry in ranged_inputs) > 1:
         for number in range(min(_MAX_CORNERS, limit)):
-            inputs = first[1].inputs | _corner_inputs(ranged_inputs, first[1], number)
+            inputs = first[1].inputs | corner_inputs(ranged_inputs, first[1], number)
             yield _survey_probe(f"corner {number} of the ranges", inputs)
+
+
+def ranged_inputs_of(manifest: Manifest) -> list[Input]:
+    """Return the inputs with a range, except cameras, and pictures, which ends do not form."""
+    return [
+        entry
+        for entry in manifest.inputs
+        if entry.range is not None and entry.role not in (*CAMERA_ROLES, *PICTURE_ROLES)
+    ]
 
 
 def _survey_probe(label: str, inputs: dict[str, Array]) -> Probe:
@@ -103,6 +111,22 @@ def _camera_survey_probes(
         yield replace(middle_probe, label="from the centre of a Gaussian", placement=placement)
     far_view = _camera_at(scene.center - _FAR_DISTANCE * scene.radius * forward, forward, scene.up)
     yield _survey_probe("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, far_view))
+    for words, up in (("above", scene.up), ("below", -scene.up)):
+        pole_view = _camera_at(scene.center + ORBIT_RADII * scene.radius * up, -up, scene.up)
+        yield _survey_probe(
+            f"from {words}", base.inputs | _camera_inputs(manifest, base, pole_view)
+        )
+    rim_view = _camera_at(scene.center - scene.half * forward, forward, scene.up)
+    yield _survey_probe("from the rim", base.inputs | _camera_inputs(manifest, base, rim_view))
+    side = np.cross(scene.up, forward)
+    direction = np.cos(_RIM_ANGLE) * forward + np.sin(_RIM_ANGLE) * side
+    outer_view = _camera_at(
+        scene.center - ORBIT_RADII * scene.radius * forward, direction, scene.up
+    )
+    yield _survey_probe(
+        "with the scene at the picture's rim",
+        base.inputs | _camera_inputs(manifest, base, outer_view),
+    )
     for number, side in enumerate(_SIDE_DIRECTIONS):
         distance = _CAMERA_DISTANCES[number % len(_CAMERA_DISTANCES)]
         camera_distance = (
@@ -113,7 +137,7 @@ def _camera_survey_probes(
         inputs = other.inputs | _camera_inputs(manifest, other, view)
         words = SIDE_LABEL if distance is not None else "from within, side"
         yield _survey_probe(
-            f"{words} {number}", inputs | _corner_inputs(ranged_inputs, other, number)
+            f"{words} {number}", inputs | corner_inputs(ranged_inputs, other, number)
         )
 
 
@@ -144,16 +168,23 @@ def _camera_inputs(
     }
 
 
-def _corner_inputs(ranged_inputs: list[Input], base: Probe, number: int) -> dict[str, Array]:
-    """Return test inputs with each number at a random end of its range; ``number`` is the seed."""
+def corner_inputs(ranged_inputs: list[Input], base: Probe, number: int) -> dict[str, Array]:
+    """Return test inputs with each number at an end of its range.
+
+    The bits of ``number`` say which end, where there are few numbers; else it is the seed.
+    """
     rng = np.random.default_rng([_RANDOM_SEED, number])
-    inputs = {}
+    counted = sum(base.inputs[entry.name].size for entry in ranged_inputs) <= _MAX_COUNTED_NUMBERS
+    first, inputs = 0, {}
     for entry in ranged_inputs:
         assert entry.range is not None
         template = base.inputs[entry.name]
         if entry.role in ROTATION_ROLES and (template.shape[-1] == 4 or template.shape == (3, 3)):
             continue  # ends of ranges form no quaternion and no rotation matrix
-        ends = np.where(rng.random(template.shape) < 0.5, *entry.range)
+        bits = (number >> np.arange(first, first + template.size)) % 2
+        is_low = bits.reshape(template.shape) == 0 if counted else rng.random(template.shape) < 0.5
+        first += template.size
+        ends = np.where(is_low, *entry.range)
         if template.dtype.kind == "f":
             limits = np.finfo(template.dtype)
             ends = np.clip(ends, limits.min, limits.max)

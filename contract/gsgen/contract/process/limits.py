@@ -9,11 +9,14 @@ __all__ = [
     "is_out_of_memory",
     "limit_memory",
     "limit_processor_time",
+    "processor_seconds_of",
 ]
 
+import math
 import os
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
@@ -45,7 +48,8 @@ class Limits:
     """The time and memory that a worker process may use.
 
     Attributes:
-        seconds: Wall-clock time for loading and all runs together.
+        seconds: Time for loading and all runs together, as an idle machine needs it: where other
+            work takes the processor, time that passes without it does not count.
         memory: Bytes of data (heap and private mappings).
     """
 
@@ -105,6 +109,16 @@ def limit_processor_time(seconds: float) -> None:
     _, hard_limit = resource.getrlimit(resource.RLIMIT_CPU)
     if hard_limit == resource.RLIM_INFINITY or limit < hard_limit:
         resource.setrlimit(resource.RLIMIT_CPU, (limit, hard_limit))
+
+
+def processor_seconds_of(pid: int) -> float:
+    """Return the processor time of another process in seconds; infinity where it is not known."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+    except OSError:  # no Linux, or the process has ended
+        return math.inf
+    user, system = fields[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def is_out_of_memory(error: Exception | str) -> bool:

@@ -226,6 +226,14 @@ class Document:
     unchecked: Annotated[
         tuple[UncheckedEntry, ...], Hint(text="Required rules that were not checked.")
     ] = ()
+    moments: Annotated[
+        tuple[str, ...],
+        Hint(text="Labels of the named moments at which level behaviour ran the model."),
+    ] = ()
+    not_checked: Annotated[
+        tuple[RuleId, ...],
+        Hint(text="Rules of levels that ran, without time or memory for their runs."),
+    ] = ()
     baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = None
     gone: Annotated[
         tuple[GoneEntry, ...] | None,

@@ -104,6 +104,8 @@ def document_of(report: Report) -> Document:
             UncheckedEntry(outcome.rule.id, outcome.status, outcome.reason)
             for outcome in report.unchecked
         ),
+        moments=report.moments,
+        not_checked=tuple(outcome.rule.id for outcome in report.not_checked),
         baseline=report.baseline or None,
         gone=tuple(_resolved_entry(finding) for finding in report.resolved)
         if report.baseline

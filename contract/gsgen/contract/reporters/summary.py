@@ -28,6 +28,8 @@ def verdict_line(report: Report) -> str:
             parts.append(f"{count} info" if severity is Severity.INFO else severity_count_text)
     if report.unchecked:
         parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
+    if report.not_checked:
+        parts.append(f"not checked: {', '.join(o.rule.id for o in report.not_checked)}")
     parts += _uncounted_rule_texts(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:

@@ -211,12 +211,10 @@ def _not_run_lines(report: Report) -> list[Line]:
 
 def _skipped_lines(report: Report) -> list[Line]:
     """Return text lines that list rules that were skipped although their validation level ran."""
-    levels_run = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
-    for outcome in report.outcomes:
-        if outcome.status == "skipped" and outcome.rule.level in levels_run:
-            lines.append(Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow"))
-            lines += _wrap_text(outcome.reason)
+    for outcome in report.not_checked:
+        lines.append(Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow"))
+        lines += _wrap_text(outcome.reason)
     return lines
 
 
@@ -269,6 +267,8 @@ def _detail_lines(report: Report) -> list[Line]:
         )
     lines += [Line("  probes:")] if report.probes else []
     lines += [Line(f"    {label}") for label in report.probes]
+    lines += [Line("  named moments:")] if report.moments else []
+    lines += [Line(f"    {label}") for label in report.moments]
     return lines
 
 

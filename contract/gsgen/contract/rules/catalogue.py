@@ -20,6 +20,7 @@ from gsgen.contract.rules.behaviour import (
     recorded_vectors,
     robustness,
     root,
+    skeleton,
     survey,
     trajectory,
 )
@@ -98,6 +99,7 @@ RULE_FAMILIES = (
     root,
     robustness,
     recorded_vectors,
+    skeleton,
     survey,
     trajectory,
     turning,

@@ -2,6 +2,9 @@
 
 __all__ = [
     "COVARIANCE_INDEX",
+    "PSD_FLOOR",
+    "PSD_SLACK",
+    "clearly_positive",
     "covariance_upper",
     "look_at",
     "perspective",
@@ -13,10 +16,19 @@ __all__ = [
 
 import numpy as np
 
-from gsgen.contract._array_types import Float
+from gsgen.contract._array_types import Bool, Float
 
 # The upper triangle xx xy xz yy yz zz, as (row, column) of the 3×3 matrix.
 COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+
+# Negative eigenvalues within rounding, by item size: relative to the trace, and absolute for
+# three entries that are each off by half of the smallest float16 step, 2⁻²⁴.
+PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
+PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
+# The rounding error of a determinant in float32, relative to its largest terms, and the size
+# below which terms lose bits.
+_DET_RELATIVE_ERROR = np.float32(2e-6)
+_DET_FLOOR = np.float32(1e-30)
 
 
 def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
@@ -102,6 +114,23 @@ def smallest_eigenvalue(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, " 
     half_determinant = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
     angle = np.arccos(np.clip(half_determinant, -1, 1)) / 3
     return np.asarray(mean + 2 * spread * np.cos(angle + 2 * np.pi / 3))
+
+
+def clearly_positive(upper: Float[np.ndarray, "6 n"], slack: float) -> Bool[np.ndarray, " n"]:
+    """Return the mask of symmetric matrices that clearly pass Sylvester's criterion, with slack.
+
+    Args:
+        upper: Columns xx xy xz yy yz zz in float32.
+        slack: Addition to the diagonal, as a share of the trace.
+    """
+    xx, xy, xz, yy, yz, zz = upper
+    diagonal_slack = np.float32(slack) * (xx + yy + zz)
+    a, b, c = xx + diagonal_slack, yy + diagonal_slack, zz + diagonal_slack
+    minor = a * b - xy * xy
+    subtracted_terms = a * yz * yz + b * xz * xz
+    det = c * minor - subtracted_terms + 2 * xy * xz * yz
+    det_error = np.maximum(_DET_RELATIVE_ERROR * (a * b * c + subtracted_terms), _DET_FLOOR)
+    return np.asarray((a > 0) & (minor > 0) & (det > det_error))
 
 
 def look_at(

@@ -4,30 +4,31 @@ __all__ = ["Progress", "ignore_progress", "validate_with"]
 
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.errors import HostProcessFailed
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
-from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
+from gsgen.contract.probing.outputs import ModelOutputs, Rows, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
-from gsgen.contract.probing.sandbox import Execution, execute
+from gsgen.contract.probing.sandbox import Execution, Run, execute
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
-from gsgen.contract.validation.finding import Finding
-from gsgen.contract.validation.gates import MODEL_RUNS
+from gsgen.contract.validation.finding import Finding, Violation
+from gsgen.contract.validation.gates import AT_MOMENTS, MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend, LevelUnavailable
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
-from gsgen.contract.validation.rule import Registry, Rule, Scope
+from gsgen.contract.validation.rule import Check, Registry, Rule, Scope
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.tolerances import effective_tolerances
 from gsgen.contract.validation.waivers import Review, apply_waivers
@@ -89,6 +90,7 @@ class _Validation:
         )
         self.levels = [LevelOutcome(level=Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
+        self.moments: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
         self.runtime_seconds = 0.0
         self.runs: dict[Level, list[float]] = {}  # the durations of model runs
@@ -117,6 +119,7 @@ class _Validation:
             outcomes=tuple(self.results.outcomes[id] for id in self.registry.rules),
             levels=tuple(self._with_runtime(level) for level in self.levels),
             probes=self.probes,
+            moments=self.moments,
             environment=self.environment,
             settings=self.settings.source,
             seconds=time.perf_counter() - self.start_time,
@@ -164,6 +167,7 @@ class _Validation:
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
         rows, count = self.subject.declared_gaussians, self.subject.declared_count
+        cells = self.subject.declared_cells
         with execute(
             path,
             names,
@@ -171,12 +175,19 @@ class _Validation:
             self.subject.sandbox_limits,
             rows=rows.name if rows else "",
             count=count.name if count else "",
+            cells=cells.name if cells else "",
+            per_cell=cells.per_cell if cells else 0,
         ) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
             seconds = [run.seconds for run in execution.runs]
             first = plan.values + sum(len(plan.trials[name]) for name in ("away", "sizes"))
             self.runs = {Level.VALUES: seconds[:first], Level.BEHAVIOUR: seconds[first:]}
+            self.moments = tuple(
+                plan.probes[index].label
+                for index in plan.moments
+                if index < len(execution.runs) and not execution.runs[index].missing_resource
+            )
             probe_runs = ProbeRuns(self.subject, execution, plan)
             for rule in prerequisite_rules:
                 if self.results.is_ready(rule):
@@ -268,11 +279,49 @@ class _Validation:
             if self.results.is_ready(rule):
                 rule_behaviour = behaviour.without_unfinished()
                 self.results.check(rule, rule_behaviour)
+                if rule.id == AT_MOMENTS:
+                    self._check_moments(rule, probe_runs)
                 if rule_behaviour.unfinished_probes and not self.results.has_failing_finding(rule):
                     self.results.skip(
                         [rule], self._unfinished_reason(rule_behaviour.unfinished_probes)
                     )
                 self.results.settle([rule], items=len(probe_runs.execution.runs))
+
+    def _check_moments(self, rule: Rule, probe_runs: ProbeRuns) -> None:
+        """Check the rules of single runs at named moments; count for ``rule`` what breaks the first."""
+        execution, plan = probe_runs.execution, probe_runs.plan
+        stored_runs: dict[int, Run] = {}  # one for each distinct set of outputs
+        for run in (execution.runs[index] for index in plan.moments):
+            if run.sample >= 0 and execution.samples[run.sample].outputs:
+                stored_runs.setdefault(run.sample, run)
+        rules = [entry for entry in self.registry.rules.values() if entry.at_moments]
+        for entry in _in_dependency_order(rules):
+            if self.results.outcomes[entry.id].status != "pass" or rule.id in self.results.outcomes:
+                continue
+            reporting_rule = replace(rule, check=_reported_check(entry))
+            for run in stored_runs.values():
+                label = plan.probes[run.probe].label
+                for context, start in self._contexts_of_run(entry.scope, run, probe_runs):
+                    self.results.check(reporting_rule, context, label, start)
+            if self.results.has_failing_finding(rule):
+                return
+
+    def _contexts_of_run(
+        self, scope: Scope, run: Run, probe_runs: ProbeRuns
+    ) -> Iterator[tuple[ProbeRuns | ModelOutputs | Rows, int]]:
+        """Yield what a rule of a scope checks in one run, and the row at which that begins."""
+        probe = probe_runs.plan.probes[run.probe]
+        if scope == "execution":
+            plan = replace(probe_runs.plan, probes=(probe,), values=1)
+            execution = replace(probe_runs.execution, runs=(replace(run, probe=0),))
+            yield replace(probe_runs, execution=execution, plan=plan), 0
+            return
+        outputs = probe_runs.execution.samples[run.sample].outputs
+        emission = read_outputs(self.subject, probe.label, outputs)
+        if scope == "emission":
+            yield emission, 0
+        else:
+            yield from ((chunk, chunk.start) for chunk in chunks(emission))
 
     def _unfinished_reason(self, probes: list[tuple[str, str]]) -> str:
         from gsgen.contract.probing.sandbox_worker import EXTRA_PROBE_TIME_SHARE
@@ -282,7 +331,7 @@ class _Validation:
         if missing_resource == "memory":
             reason = "the memory limit was reached (see --memory)"
         else:
-            share = f"{EXTRA_PROBE_TIME_SHARE:.0%} of the {self.settings.limits.seconds:g} s"
+            share = f"{EXTRA_PROBE_TIME_SHARE:.0%} of the {self.settings.limits.seconds:g} s of processor time"
             reason = f"{share} were used up (see --timeout)"
         return f"{count} did not run, {label!r} first: {reason}"
 
@@ -373,3 +422,14 @@ def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
     for rule in list(pending_rules.values()):
         append(rule)
     return ordered_rules
+
+
+def _reported_check(rule: Rule) -> Check:
+    """Return a rule's check whose violations name the rule, for another rule to report."""
+
+    def check(context: Any) -> Iterator[Violation]:
+        for violation in rule.check(context):
+            expected = f"{violation.expected} ({rule.id})"
+            yield replace(violation, expected=expected, hint=violation.hint or rule.hint)
+
+    return check

@@ -2,6 +2,7 @@
 
 __all__ = [
     "APPEARANCE",
+    "AT_MOMENTS",
     "CELL_RULES",
     "COLORED_ROW_RULES",
     "COUNTED_ROW_RULES",
@@ -22,6 +23,9 @@ from typing import Final
 
 # The id of the rule that the model ran to the end; without it no value can be checked.
 MODEL_RUNS: Final = "GV025"
+
+# The id of the rule that the rules of single runs hold at named moments, too.
+AT_MOMENTS: Final = "GB044"
 
 # The manifest has a known version and follows its schema.
 MANIFEST_PARSED: Final = ("GM002", "GM003")
@@ -71,4 +75,4 @@ CELL_RULES: Final = (*PACKED_ROWS, "GO021")
 REPRODUCIBLE: Final = (MODEL_RUNS, "GB001", "GB002")
 
 # Every output is finite, also in padding and where all inputs are zero.
-FINITE_OUTPUTS: Final = ("GV001", "GV002", "GI009")
+FINITE_OUTPUTS: Final = ("GV001", "GV002", "GI009", "GV055", "GV060")

@@ -164,6 +164,7 @@ class Report:
         timed: Reporters show times, so that two reports of equal input differ.
         docs_url: Root of the published documentation; empty if unknown.
         picture: The model drawn at one probe; None where nothing was drawn.
+        moments: Labels of the named moments at which the model ran.
     """
 
     path: str
@@ -193,6 +194,17 @@ class Report:
     timed: bool = False
     docs_url: str = ""
     picture: Picture | None = None
+    moments: tuple[str, ...] = ()
+
+    @property
+    def not_checked(self) -> tuple[Outcome, ...]:
+        """The validation rules that were skipped although their level ran."""
+        levels_run = {outcome.level for outcome in self.levels if outcome.ran}
+        return tuple(
+            outcome
+            for outcome in self.outcomes
+            if outcome.status == "skipped" and outcome.rule.level in levels_run
+        )
 
     @property
     def unchecked(self) -> tuple[Outcome, ...]:

@@ -93,6 +93,7 @@ class Rule:
         explained_by: Rules of later levels whose fault causes this one's violations: where one of
             them fails, these are withdrawn, so that the cause is read first.
         evidence: A documented case where breaking the rule did damage; may be empty.
+        at_moments: Level behaviour checks it at named moments, too, under the rule GB044.
     """
 
     id: str
@@ -111,6 +112,7 @@ class Rule:
     settled_by: tuple[str, ...] = ()
     explained_by: tuple[str, ...] = ()
     evidence: str = ""
+    at_moments: bool = False
 
     @property
     def family(self) -> str:
@@ -130,6 +132,7 @@ def rule(
     explained_by: tuple[str, ...] = (),
     over: Scope | None = None,
     level: Level | None = None,
+    at_moments: bool = False,
 ) -> Callable[[Check], Rule]:
     """Declare the decorated check as a rule: its name is the rule's, its docstring the rule's page.
 
@@ -148,6 +151,7 @@ def rule(
         explained_by: Rules of later levels whose fault causes this one's violations.
         over: The scope, where the argument is the context of a level backend or a tileset.
         level: The first level that can check it; by default, that of the scope.
+        at_moments: Check it at named moments, too: for rules that hold for every single run.
 
     Raises:
         ValueError: The id, the name or the docstring does not have that form, or no scope belongs
@@ -180,6 +184,7 @@ def rule(
             settled_by=settled_by,
             explained_by=explained_by,
             evidence=evidence,
+            at_moments=at_moments,
         )
 
     return declare

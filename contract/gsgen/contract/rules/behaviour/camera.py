@@ -164,9 +164,9 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
         for probe, outputs in behaviour.probe_outputs
     }
     counts |= {
-        run.probe.label: run.extremes.count
+        run.probe.label: run.row_count.count
         for run in behaviour.trial_runs("survey")
-        if run.extremes is not None and run.probe.label.startswith(SIDE_LABEL)
+        if run.row_count is not None and run.probe.label.startswith(SIDE_LABEL)
     }
     empty_view_labels = [label for label, count in counts.items() if count == 0]
     if empty_view_labels and len(empty_view_labels) < len(counts):

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from gsgen.contract.probing.differences import largest_difference
+from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
@@ -92,6 +93,18 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
+def _frame_runs(behaviour: Behaviour) -> list[ProbeRun]:
+    """Return the runs at the beginning of each frame, except where rounding may give the one before."""
+    manifest = behaviour.subject.manifest
+    entries = manifest.inputs if manifest else ()
+    entry = next((entry for entry in entries if entry.frames), None)
+    return [
+        run
+        for frame, run in enumerate(behaviour.trial_runs(FRAMES))
+        if entry is not None and run.digest and not is_frame_rounded_down(entry, frame)
+    ]
+
+
 @rule("GB006", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"))
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, each frame gives other outputs than the one before.
@@ -104,14 +117,18 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
         stands still for a while, ignore this rule.
     """
-    runs = [run for run in behaviour.trial_runs("frames") if run.digest]
+    runs = _frame_runs(behaviour)
+    within_runs = [run for run in behaviour.trial_runs("within frames") if run.digest]
     repeated_labels = [
         later_run.probe.label
-        for earlier_run, later_run in pairwise(runs)
+        for earlier_run, later_run in (*pairwise(runs), *pairwise(within_runs))
         if earlier_run.digest == later_run.digest
     ]
     if repeated_labels:
-        actual = f"{len(repeated_labels)} of {len(runs)} frames show what the frame before did, {repeated_labels[0]}"
+        actual = (
+            f"{len(repeated_labels)} of {len(runs) + len(within_runs)} runs show what the frame "
+            f"before did, {repeated_labels[0]!r} first"
+        )
         yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
 
 
@@ -126,7 +143,7 @@ def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Divide in float32, and check the unit of the range and the number of frames.
     """
-    runs = [run for run in behaviour.trial_runs("frames") if run.digest]
+    runs = _frame_runs(behaviour)
     distinct_digest_count = len({run.digest for run in runs})
     if len(runs) > 2 and 2 * distinct_digest_count <= len(runs):
         actual = f"{distinct_digest_count} of {len(runs)} frames differ"

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import PATH_OFFSET
+from gsgen.contract.probing.behaviour_probes import PATH_OFFSET, STRAIGHT_PATH_LABEL
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import TrajectoryManifest
@@ -17,6 +17,11 @@ _POSITION_COLUMNS = slice(0, 3)
 _ROTATION = slice(3, None)
 # The largest difference of a quaternion's length from 1.
 _UNIT_QUATERNION_TOLERANCE = 1e-3
+# A dot product of quaternions, or a length beyond π, may be off by this much.
+_SIGN_SLACK = 1e-3
+# Predictions may lie this many steps of a straight path behind the state before: −2.9 steps for a
+# history read the other way round, 1 for one that goes on, 0 for one that stops.
+_MAX_BACKWARD_STEPS = 0.2
 # The largest drift of a predicted state, relative to the size of the coordinates.
 _MAX_REST_POSE_DRIFT = 2e-3
 
@@ -39,7 +44,13 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", actual, "finite numbers")
 
 
-@rule("GV061", Severity.ERROR, needs=(MODEL_RUNS, "GO019", "GV060"), kinds=(TRAJECTORY,))
+@rule(
+    "GV061",
+    Severity.ERROR,
+    needs=(MODEL_RUNS, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+    at_moments=True,
+)
 def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Every predicted standard deviation, or every variance on the diagonal, is above 0.
 
@@ -65,7 +76,13 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
             yield Violation.at(f"output {name}", actual, "numbers above 0")
 
 
-@rule("GV062", Severity.ERROR, needs=(MODEL_RUNS, "GO019", "GV060"), kinds=(TRAJECTORY,))
+@rule(
+    "GV062",
+    Severity.ERROR,
+    needs=(MODEL_RUNS, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+    at_moments=True,
+)
 def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Predicted quaternions have length 1.
 
@@ -165,11 +182,91 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
         Multiply the history by the sign of its last w, or predict from relative rotations.
     """
     runs = behaviour.trial_runs("paths")
-    if len(runs) < 4:
+    if len(runs) < 5:
         return
-    expected, actual = (_future_states(behaviour, runs[index]) for index in (0, 3))
+    expected, actual = (_future_states(behaviour, runs[index]) for index in (0, 4))
     if expected is not None and actual is not None:
         yield from _compare(behaviour, actual, expected, "a history with quaternions negated")
+
+
+@rule("GB062", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
+def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
+    """On a straight path the predicted camera does not move backwards, nor do predictions in order.
+
+    Why:
+        The history has its oldest state first, and predictions the nearest one. A model that reads
+        or writes them the other way round fetches the scene behind the camera.
+
+    Hint:
+        Take the last row of the history as the newest state, and return the nearest prediction
+        first; reverse the rows with `flip(0)` before or after the network.
+    """
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
+    for run in behaviour.trial_runs("paths"):
+        future = _future_states(behaviour, run)
+        if future is None or not run.probe.label.endswith(STRAIGHT_PATH_LABEL):
+            continue
+        history = run.probe.inputs[name].astype(np.float64)
+        if len(history) < 2:
+            return  # one state has no velocity
+        step = history[-1, _POSITION_COLUMNS] - history[-2, _POSITION_COLUMNS]
+        starts = {"first": history[-1], "last": future[0]}
+        for words, start in starts.items():
+            end = future[0] if words == "first" else future[-1]
+            motion = (end - start)[_POSITION_COLUMNS] @ step / (step @ step)
+            if motion < -_MAX_BACKWARD_STEPS:
+                actual = (
+                    f"the {words} predicted state lies {-motion:.2g} steps of the path behind "
+                    f"{'the newest of the history' if words == 'first' else 'the first one'}"
+                )
+                expected = f"no more than {_MAX_BACKWARD_STEPS} steps backwards"
+                yield Violation.at(f"output {manifest.outputs.future.name}", actual, expected)
+                return
+
+
+@rule(
+    "GV064",
+    Severity.ERROR,
+    needs=(MODEL_RUNS, "GO019", "GV060", "GV062"),
+    kinds=(TRAJECTORY,),
+    at_moments=True,
+)
+def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Each predicted quaternion continues the sign of the state before it; axis-angles end at π.
+
+    Why:
+        A reader interpolates between states. From q to −q it turns by a whole circle within one
+        step, and fetches all sides.
+
+    Hint:
+        Multiply each predicted quaternion by the sign of its dot product with the state before it,
+        the first one with the newest state of the history.
+    """
+    manifest = probe_runs.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    future = manifest.outputs.future
+    history_name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
+    inputs = {probe.label: probe.inputs[history_name] for probe in probe_runs.plan.probes}
+    for name, value, label in _values(probe_runs, includes_zeros=False):
+        if name != future.name:
+            continue
+        rotations = np.vstack([inputs[label][-1:, _ROTATION], value[:, _ROTATION]])
+        rotations = rotations.astype(np.float64)
+        if future.representation == "position+quaternion-wxyz":
+            products = (rotations[:-1] * rotations[1:]).sum(axis=1)
+            wrong, number, expected = products < -_SIGN_SLACK, products, "at least 0"
+            words = "dot product {:.3g} with the state before"
+        else:
+            number = np.linalg.norm(value[:, _ROTATION].astype(np.float64), axis=1)
+            wrong, expected = number > np.pi + _SIGN_SLACK, "at most π"
+            words = "length {:.4g}"
+        if wrong.any():
+            row = int(wrong.argmax())
+            actual = f"{words.format(number[row])} in row {row} at probe {label!r}"
+            yield Violation.at(f"output {name}", actual, expected)
+            return
 
 
 def _future_states(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from gsgen.contract.model.files_beside import FileRefused, find_contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, ROLES
-from gsgen.contract.spec.manifest import ReferenceImage
+from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, POST_PROCESS, ROLES
+from gsgen.contract.spec.manifest import PostProcessManifest, ReferenceImage
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
@@ -101,6 +101,28 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
         )
     if not any(char.isdigit() for char in producer.tool):
         yield Violation.at("manifest producer.tool", repr(producer.tool), "name and version")
+
+
+@rule("GM039", Severity.ERROR, kinds=(POST_PROCESS,), needs=MANIFEST_PARSED)
+def picture_range_rises(subject: InspectedModel) -> Iterator[Violation]:
+    """In both ranges of a post-process model the value of black is below that of white.
+
+    Why:
+        A runtime divides by their difference: equal numbers give NaN, exchanged ones a negative.
+
+    Hint:
+        Declare "image_range" and the output's "range" as [black, white], such as [0, 1] or [-1, 1].
+    """
+    manifest = subject.manifest
+    if not isinstance(manifest, PostProcessManifest):
+        return
+    ranges = {
+        "image_range": manifest.image_range,
+        "outputs.image.range": manifest.outputs.image.range,
+    }
+    for name, (black, white) in ranges.items():
+        if not black < white:
+            yield Violation.at(f"manifest {name}", str([black, white]), "black below white")
 
 
 @rule("GM014", Severity.WARNING, kinds=MANIFEST_KINDS)

@@ -1,6 +1,8 @@
 """Validation rules of manifest declarations: extensions, operator profile, memory and units."""
 
+import json
 from collections.abc import Iterator
+from typing import Any
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
@@ -34,6 +36,36 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
         if name not in used_extensions:
             actual = f"{name} is not in extensions_used"
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
+
+
+@rule("GM038", Severity.WARNING, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
+def used_extensions_present(subject: InspectedModel) -> Iterator[Violation]:
+    """Every extension in `extensions_used` is the name of a field somewhere in the manifest.
+
+    Why:
+        The list outlives the field that a tool dropped: readers prepare for a missing field, and
+        a model that requires it is refused for nothing.
+
+    Hint:
+        Remove the name from "extensions_used" and "extensions_required", or write its field again.
+    """
+    manifest = subject.manifest
+    text = subject.file.manifest_text
+    if manifest is None or not manifest.extensions_used or not text:
+        return
+    present = set(_field_names(json.loads(text)))
+    for name in manifest.extensions_used:
+        if name not in present:
+            yield Violation.at("manifest extensions_used", name, f"a field {name} in the manifest")
+
+
+def _field_names(value: Any) -> Iterator[str]:
+    """Yield the names of all fields of a JSON value."""
+    if isinstance(value, dict):
+        yield from value
+    for part in value.values() if isinstance(value, dict) else value:
+        if isinstance(part, (dict, list)):
+            yield from _field_names(part)
 
 
 @rule("GM031", Severity.WARNING, kinds=MANIFEST_KINDS, needs=("GM030",))

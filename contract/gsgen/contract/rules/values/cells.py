@@ -7,8 +7,7 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
-from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
-from gsgen.contract.spec.geometry import smallest_eigenvalue
+from gsgen.contract.spec.geometry import PSD_FLOOR, PSD_SLACK, smallest_eigenvalue
 from gsgen.contract.spec.layout import (
     COVARIANCE,
     CULL_OPACITY,
@@ -141,7 +140,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.rows(location, ~_finite_mask(cells), cells, expected, checked=len(cells))
 
 
-@rule("GV027", Severity.ERROR, needs=CELL_RULES)
+@rule("GV027", Severity.ERROR, needs=CELL_RULES, at_moments=True)
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of each cell (group of Gaussians), column 3, lies in [0, 1].
 
@@ -167,7 +166,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV028", Severity.ERROR, needs=CELL_RULES)
+@rule("GV028", Severity.ERROR, needs=CELL_RULES, at_moments=True)
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every visible cell (group of Gaussians) is positive semi-definite.
 
@@ -223,7 +222,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     )
 
 
-@rule("GV030", Severity.ERROR, needs=(*CELL_RULES, "GO010", "GO011"))
+@rule("GV030", Severity.ERROR, needs=(*CELL_RULES, "GO010", "GO011"), at_moments=True)
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The visibility of every cell without a live Gaussian (a row before the row count) is 0.
 

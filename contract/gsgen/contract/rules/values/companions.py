@@ -45,7 +45,7 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
                 break
 
 
-@rule("GV056", Severity.ERROR, needs=(MODEL_RUNS, "GO018"), kinds=(POST_PROCESS,))
+@rule("GV056", Severity.ERROR, needs=(MODEL_RUNS, "GO018"), kinds=(POST_PROCESS,), at_moments=True)
 def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """The output image is `scale` times as high and as wide as the input image, at odd sizes, too.
 

@@ -4,26 +4,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract._array_types import Bool
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_variances
-from gsgen.contract.spec.geometry import smallest_eigenvalue
+from gsgen.contract.spec.geometry import PSD_FLOOR, PSD_SLACK, clearly_positive, smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import ORDERED_ROWS
 from gsgen.contract.validation.rule import rule
 
-# Negative eigenvalues within rounding, by item size: relative to the trace, and absolute for
-# three entries that are each off by half of the smallest float16 step, 2⁻²⁴.
-PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
-PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
-# The rounding error of a determinant in float32, relative to its largest terms, and the size
-# below which terms lose bits.
-_DET_RELATIVE_ERROR = np.float32(2e-6)
-_DET_FLOOR = np.float32(1e-30)
 
-
-@rule("GV005", Severity.ERROR, needs=ORDERED_ROWS)
+@rule("GV005", Severity.ERROR, needs=ORDERED_ROWS, at_moments=True)
 def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     """The variances xx, yy and zz of every drawn row are not negative.
 
@@ -49,7 +39,7 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV006", Severity.ERROR, needs=ORDERED_ROWS)
+@rule("GV006", Severity.ERROR, needs=ORDERED_ROWS, at_moments=True)
 def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """The covariance of every drawn row is positive semi-definite, up to rounding.
 
@@ -63,7 +53,9 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """
     slack, eigenvalue_floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
     has_variances = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
-    suspects = np.flatnonzero(rows.drawn & has_variances & ~_psd_mask(rows, slack))
+    suspects = np.flatnonzero(
+        rows.drawn & has_variances & ~clearly_positive(rows.covariance, slack)
+    )
     indefinite_mask = np.zeros(len(rows), bool)
     min_eigenvalue = np.zeros(len(rows))
     if len(suspects):
@@ -79,18 +71,6 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
         checked=rows.drawn_count,
         magnitude=-min_eigenvalue,
     )
-
-
-def _psd_mask(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
-    """Return the mask of rows whose covariance clearly passes Sylvester's criterion, with slack."""
-    xx, xy, xz, yy, yz, zz = rows.covariance
-    diagonal_slack = np.float32(slack) * rows.trace
-    a, b, c = xx + diagonal_slack, yy + diagonal_slack, zz + diagonal_slack
-    minor = a * b - xy * xy
-    subtracted_terms = a * yz * yz + b * xz * xz
-    det = c * minor - subtracted_terms + 2 * xy * xz * yz
-    det_error = np.maximum(_DET_RELATIVE_ERROR * (a * b * c + subtracted_terms), _DET_FLOOR)
-    return np.asarray((a > 0) & (minor > 0) & (det > det_error))
 
 
 @rule("GV007", Severity.WARNING, needs=ORDERED_ROWS)

@@ -13,7 +13,7 @@ from gsgen.contract.validation.gates import RUNNABLE_MODEL_RULES
 from gsgen.contract.validation.rule import rule
 
 
-@rule("GV024", Severity.ERROR, needs=("GV025",))
+@rule("GV024", Severity.ERROR, needs=("GV025",), at_moments=True)
 def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     """At run time every output has the shape and dtype that the graph declares.
 

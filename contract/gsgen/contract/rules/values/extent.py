@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.probing.outputs import ModelOutputs, Rows, chunks, read_outputs
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
@@ -22,9 +23,11 @@ _OUTSIDE_SLACK = 1e-3
 _MIN_ROWS = 16
 _ROWS_PER_BLOCK = 4096
 _MAX_EQUAL_SHARE = 0.1
+# Bounds over all inputs are larger than what some runs show, but not by so much.
+_MAX_BOUNDS_RATIO = 100.0
 
 
-@rule("GO016", Severity.ERROR, needs=PACKED_ROWS)
+@rule("GO016", Severity.ERROR, needs=PACKED_ROWS, at_moments=True)
 def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The columns of a packed row are x y z opacity xx xy xz yy yz zz, in this order.
 
@@ -194,3 +197,34 @@ def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     if copy_count > _MAX_EQUAL_SHARE * len(block):
         actual = f"{copy_count} of the first {len(block)} drawn rows equal another"
         yield Violation.at(emission.rows_label, actual, f"{100 * _MAX_EQUAL_SHARE:g} % at most")
+
+
+@rule("GV065", Severity.WARNING, needs=(*PACKED_ROWS, "GM009", "GM019"))
+def bounds_fit_content(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """The diagonal of the bounds is at most a hundred times that of the Gaussians of all runs.
+
+    Why:
+        Viewers place the camera and their near and far planes by the bounds: in a box of another
+        scale, or of a few stray rows, the scene is a dot.
+
+    Hint:
+        Measure the bounds over all times and poses; the SDK does. Prune stray Gaussians.
+    """
+    generator, declared = probe_runs.subject.generator, probe_runs.subject.declared_gaussians
+    if generator is None or generator.bounds is None or declared is None:
+        return
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for index in {run.sample for run in probe_runs.execution.runs[: probe_runs.plan.values]}:
+        emission = read_outputs(probe_runs.subject, "", probe_runs.execution.samples[index].outputs)
+        for rows in chunks(emission):
+            # A Gaussian takes up room beside its centre.
+            size = 2 * np.sqrt(np.maximum(rows.max_variance[rows.drawn], 0))
+            position = rows.position[:, rows.drawn]
+            low = np.minimum(low, (position - size).min(axis=1, initial=np.inf))
+            high = np.maximum(high, (position + size).max(axis=1, initial=-np.inf))
+    content = float(np.linalg.norm(np.maximum(high - low, 0)))
+    diagonal = float(np.linalg.norm(np.subtract(generator.bounds.max, generator.bounds.min)))
+    if 0 < content < np.inf and diagonal > _MAX_BOUNDS_RATIO * content:
+        actual = f"a diagonal of {diagonal:.4g}, {diagonal / content:.3g} times the Gaussians'"
+        expected = f"at most {_MAX_BOUNDS_RATIO:g} times their {content:.4g}"
+        yield Violation.at("manifest bounds", actual, expected)

@@ -88,7 +88,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     yield from _nonfinite_violations(rows, ~rows.counted, len(rows) - rows.live_rows)
 
 
-@rule("GV003", Severity.ERROR, needs=ORDERED_ROWS)
+@rule("GV003", Severity.ERROR, needs=ORDERED_ROWS, at_moments=True)
 def opacity_range(rows: Rows) -> Iterator[Violation]:
     """Opacity lies in [0, 1] in every live row (before the row count).
 
@@ -139,7 +139,7 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV010", Severity.ERROR, needs=PACKED_ROWS)
+@rule("GV010", Severity.ERROR, needs=PACKED_ROWS, at_moments=True)
 def float16_saturation(rows: Rows) -> Iterator[Violation]:
     """No float16 value is as large as the largest float16.
 
@@ -192,7 +192,7 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
         yield Violation.at(f"output {declared.name}", f"count {int(value[0])}", expected)
 
 
-@rule("GV018", Severity.ERROR, needs=(*ORDERED_ROWS, "GV032"))
+@rule("GV018", Severity.ERROR, needs=(*ORDERED_ROWS, "GV032"), at_moments=True)
 def padding_inert(rows: Rows) -> Iterator[Violation]:
     """Opacity is 0 in every padding row (after the row count).
 

@@ -1,6 +1,6 @@
 """Converts values to a model input's tensor, by the input's shape, dtype and range."""
 
-__all__ = ["InputBinding", "default_tensor"]
+__all__ = ["InputBinding"]
 
 import math
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.spec.fields.roles import MATRIX_ROLES
+from gsgen.contract.spec.input_defaults import default_tensor
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
@@ -96,7 +97,10 @@ class InputBinding:
         """Return the tensor that a model input has until the caller sets a value."""
         if self.declared is None:
             return np.zeros(self.shape, self.dtype)
-        tensor = default_tensor(self.declared, self.shape)
+        try:
+            tensor = default_tensor(self.declared, self.shape)
+        except ValueError as error:
+            raise InputInvalid(str(error), where=f"input {self.declared.name}") from error
         return np.ascontiguousarray(
             np.swapaxes(tensor, -1, -2) if self.transposed else tensor, self.dtype
         )
@@ -114,33 +118,3 @@ class InputBinding:
     def _invalid_value_error(self, message: str) -> InputInvalid:
         role = f" (role {self.role})" if self.role and self.role != self.name else ""
         return InputInvalid(message, where=f"input {self.name}{role}")
-
-
-def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the default value that the generator contract defines for the role of an input.
-
-    The manifest's specification defines it under "default"; matrices are as in mathematics.
-    """
-    default = declared.default
-    if default is None:
-        low = declared.range[0] if declared.range else 0.0
-        default = "identity" if declared.role in MATRIX_ROLES else low
-    if default == "zeros":
-        return np.zeros(shape)
-    if default == "identity":
-        return _identity_values(declared.role, shape)
-    values = np.asarray(default, np.float64)
-    if values.ndim and values.size != np.prod(shape):
-        message = f"default has {values.size} numbers, expected {int(np.prod(shape))}"
-        raise InputInvalid(message, where=f"input {declared.name}")
-    return values.reshape(shape) if values.ndim else np.full(shape, values)
-
-
-def _identity_values(role: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the identity transform in a given shape: a matrix, quaternions or rotation vectors."""
-    if role != "pose" and len(shape) >= 2 and shape[-1] == shape[-2]:
-        return np.broadcast_to(np.eye(shape[-1]), shape).copy()
-    identity_values = np.zeros(shape)  # rotation vectors
-    if shape[-1:] == (4,):
-        identity_values[..., 0] = 1.0  # quaternions (w, x, y, z)
-    return identity_values

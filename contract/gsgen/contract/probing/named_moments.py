@@ -1,0 +1,226 @@
+"""Named moments: inputs that the manifest or the specification names, each run once.
+
+A declared default is what every viewer shows first, t(k) is when a frame begins, people look
+from above, and pictures have black pixels. Rules of single runs hold at each of these moments.
+"""
+
+__all__ = ["FRAMES", "NamedMoment", "is_frame_rounded_down", "moments_of"]
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from gsgen.contract.probing.picture_probes import synthetic_pictures, test_patterns
+from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array
+from gsgen.contract.probing.survey_probes import corner_inputs, ranged_inputs_of, survey_probes
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, MATRIX_ROLES, PICTURE_ROLES, STATE_SIZES
+from gsgen.contract.spec.geometry import perspective
+from gsgen.contract.spec.input_defaults import default_tensor
+from gsgen.contract.spec.manifest import (
+    GeneratorManifest,
+    Input,
+    Manifest,
+    PostProcessManifest,
+    TrajectoryManifest,
+)
+
+# Name of the group of declared frames, one moment for each.
+FRAMES = "frames"
+# Pictures wide and tall, as screens and telephones have them.
+_VIEWPORTS = {"landscape": (1920.0, 1080.0), "portrait": (1080.0, 1920.0)}
+_FIELD_OF_VIEW = math.radians(60.0)
+_PLANES = (0.01, 1000.0)
+# Sizes of pictures where the graph leaves them open: no multiple of 8, of 16, and of 64.
+_OPEN_SIZES = ((67, 93), (72, 104), (112, 80))
+_MAX_CORNERS = 8
+
+
+class NamedMoment(NamedTuple):
+    """One named moment: the group that rules ask for, and its test inputs."""
+
+    group: str
+    probe: Probe
+
+
+def moments_of(
+    manifest: Manifest, first: tuple[Probe, ...], open_axes: dict[int, int], limit: int
+) -> Iterator[NamedMoment]:
+    """Yield the named moments of a model, those that people meet first at the front.
+
+    Args:
+        manifest: Declares role, range, default and frames of each input.
+        first: The probes of value rules, of which the first is all zeros.
+        open_axes: The axes of a post-process model's image that the graph leaves open: which
+            number of a size each takes.
+        limit: The largest number of cameras around a scene.
+    """
+    if len(first) < 2:
+        return
+    base = first[1]
+    yield from (NamedMoment("defaults", probe) for probe in _default_moments(manifest, base))
+    for entry in manifest.inputs:
+        frames = _frame_moments(entry, base)
+        yield from (NamedMoment(FRAMES, probe) for probe in frames)
+    if isinstance(manifest, GeneratorManifest):
+        yield from (NamedMoment("survey", probe) for probe in survey_probes(manifest, first, limit))
+        yield from (NamedMoment("screens", probe) for probe in _screen_moments(manifest, base))
+        yield from (NamedMoment("pictures", probe) for probe in _picture_moments(manifest, base))
+    if isinstance(manifest, PostProcessManifest):
+        yield from (NamedMoment("corners", probe) for probe in _corner_moments(manifest, base))
+        yield from (NamedMoment("pictures", probe) for probe in _picture_moments(manifest, base))
+        yield from (
+            NamedMoment("sizes", probe) for probe in _size_moments(manifest, base, open_axes)
+        )
+    if isinstance(manifest, TrajectoryManifest):
+        yield from (NamedMoment("histories", probe) for probe in _history_moments(manifest, base))
+
+
+def _moment(label: str, base: Probe, inputs: dict[str, Array], *, survey: bool = True) -> Probe:
+    return Probe(label=label, inputs=base.inputs | inputs, extra=True, survey=survey)
+
+
+def _default_moments(manifest: Manifest, base: Probe) -> Iterator[Probe]:
+    """Yield the moment in which nothing is fed but defaults, and that with a camera and pictures."""
+    is_generator = isinstance(manifest, GeneratorManifest)
+    space = manifest.space if isinstance(manifest, GeneratorManifest) else None
+    is_transposed = space is None or space.matrix_order == "column"
+    defaults = {}
+    for entry in manifest.inputs:
+        template = base.inputs[entry.name]
+        try:
+            value = default_tensor(entry, template.shape)
+        except ValueError:
+            return  # GI014 reports a default of another size
+        if entry.role in MATRIX_ROLES and is_transposed:
+            value = np.swapaxes(value, -1, -2)
+        defaults[entry.name] = cast_array(np.ascontiguousarray(value), template.dtype.name)
+    seen = {
+        entry.name for entry in manifest.inputs if entry.role in (*CAMERA_ROLES, *PICTURE_ROLES)
+    }
+    if isinstance(manifest, TrajectoryManifest):
+        return  # another probe holds a history of zeros
+    yield _moment("the defaults", base, defaults, survey=is_generator)
+    if seen and len(seen) < len(defaults):
+        others = {name: value for name, value in defaults.items() if name not in seen}
+        words = "the defaults, seen by a camera" if is_generator else "the defaults, with a picture"
+        yield _moment(words, base, others, survey=is_generator)
+
+
+def _frame_moments(entry: Input, base: Probe) -> Iterator[Probe]:
+    """Yield the moment at which each frame of a time or a frame number begins."""
+    if entry.range is None or entry.role not in ("time", "frame_index"):
+        return
+    template, (low, high) = base.inputs[entry.name], entry.range
+    if entry.role == "frame_index":
+        values = [float(number) for number in range(math.ceil(low), math.floor(high) + 1)]
+        values = values[: entry.frames]
+    else:
+        values = [entry.time_of_frame(frame) for frame in range(entry.frames or 0)]
+    for frame, value in enumerate(values):
+        array = cast_array(np.full(template.shape, value), template.dtype.name)
+        number = round(value) if entry.role == "frame_index" else frame
+        yield _moment(f"frame {number}", base, {entry.name: array})
+
+
+def is_frame_rounded_down(entry: Input, frame: int) -> bool:
+    """Return whether float32 may place the beginning of a frame into the frame before it.
+
+    True if the nearest float32 number is below t(k), or if its quotient by the length of a frame is
+    below k in float32: a model that rounds down as exactly as float32 allows shows frame k − 1.
+    """
+    if entry.role != "time" or entry.range is None or entry.frames is None:
+        return False
+    low, high = entry.range
+    offset = np.float32(entry.time_of_frame(frame)) - np.float32(low)
+    span = np.float32(high) - np.float32(low)
+    product = float(offset) * entry.frames / float(span)
+    quotients = (offset * np.float32(entry.frames) / span, offset / span * np.float32(entry.frames),
+                 offset / (span / np.float32(entry.frames)))  # fmt: skip
+    return product < frame or any(float(quotient) < frame for quotient in quotients)
+
+
+def _screen_moments(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """Yield the base camera with a picture that is wide, and with one that is tall."""
+    order = manifest.space.matrix_order if manifest.space else "column"
+    for words, (width, height) in _VIEWPORTS.items():
+        lens = as_tensor(perspective(_FIELD_OF_VIEW, width / height, *_PLANES), order)
+        values = {"projection": lens, "viewport": np.array([width, height])}
+        inputs = {
+            entry.name: cast_array(values[entry.role], base.inputs[entry.name].dtype.name)
+            for entry in manifest.inputs
+            if entry.role in values
+        }
+        if inputs:
+            yield _moment(f"in {words}, {width:g} × {height:g}", base, inputs)
+
+
+def _picture_moments(
+    manifest: GeneratorManifest | PostProcessManifest, base: Probe
+) -> Iterator[Probe]:
+    """Yield black, white and structured pictures of the base probe's size."""
+    for entry in manifest.inputs:
+        template = base.inputs[entry.name]
+        if entry.role == "image" and template.ndim == 4:
+            low, high = _picture_range(manifest, entry)
+            for words, pattern in test_patterns(template.shape).items():
+                values = cast_array(low + (high - low) * pattern, template.dtype.name)
+                is_generator = isinstance(manifest, GeneratorManifest)
+                yield _moment(words, base, {entry.name: values}, survey=is_generator)
+
+
+def _picture_range(manifest: Manifest, entry: Input) -> tuple[float, float]:
+    if isinstance(manifest, PostProcessManifest):
+        return manifest.image_range
+    return entry.range or (0.0, 1.0)
+
+
+def _size_moments(
+    manifest: PostProcessManifest, base: Probe, open_axes: dict[int, int]
+) -> Iterator[Probe]:
+    """Yield pictures of sizes that no power of two divides, along open axes."""
+    images = [entry for entry in manifest.inputs if entry.role == "image"]
+    if not open_axes or any(base.inputs[entry.name].ndim != 4 for entry in images):
+        return
+    for number, size in enumerate(_OPEN_SIZES):
+        inputs = {}
+        for entry in images:
+            template = base.inputs[entry.name]
+            shape = tuple(
+                size[open_axes[axis]] if axis in open_axes else dim
+                for axis, dim in enumerate(template.shape)
+            )
+            low, high = manifest.image_range
+            pattern = synthetic_pictures(shape, np.random.default_rng([number]))
+            inputs[entry.name] = cast_array(low + (high - low) * pattern, template.dtype.name)
+        yield _moment(f"a picture of {shape[3]} × {shape[2]}", base, inputs, survey=False)
+
+
+def _corner_moments(manifest: PostProcessManifest, base: Probe) -> Iterator[Probe]:
+    ranged_inputs = ranged_inputs_of(manifest)
+    numbers = sum(base.inputs[entry.name].size for entry in ranged_inputs)
+    for number in range(min(_MAX_CORNERS, 2**numbers) if numbers else 0):
+        inputs = corner_inputs(ranged_inputs, base, number)
+        yield _moment(f"corner {number} of the ranges", base, inputs, survey=False)
+
+
+def _history_moments(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
+    """Yield paths whose quaternions pass through w = 0, and end below it."""
+    if manifest.outputs.future.representation != "position+quaternion-wxyz":
+        return
+    for entry in manifest.inputs:
+        history = base.inputs[entry.name]
+        if entry.role != "camera_history" or history.shape[1:] != (
+            STATE_SIZES["position+quaternion-wxyz"],
+        ):
+            continue
+        # A turn about y by 0.1 radians a step, which is half a turn at the end, or just before it.
+        for words, steps_beyond in (("at half a turn", 0.0), ("beyond half a turn", 1.0)):
+            steps = np.arange(len(history)) - (len(history) - 1) + steps_beyond
+            half_angle = (np.pi + 0.1 * steps) / 2
+            path = history.copy()
+            path[:, 3:] = np.stack(
+                [np.cos(half_angle), 0 * steps, np.sin(half_angle), 0 * steps], axis=1
+            )
+            yield _moment(f"a path that turns {words}", base, {entry.name: path}, survey=False)
