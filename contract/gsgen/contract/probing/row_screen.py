@@ -87,5 +87,6 @@ def _do_cells_look_faulty(cells: Float[np.ndarray, "c 10"], live: int, per_cell:
     is_empty: Bool[np.ndarray, " c"] = np.arange(len(cells)) * per_cell >= live
     visibility = cells[:, VISIBILITY]
     return bool(
-        (visibility[is_empty] != 0).any() or _do_rows_look_faulty(cells, np.finfo(np.float32).tiny)
+        (visibility[is_empty] != 0).any()
+        or _do_rows_look_faulty(cells, float(np.finfo(np.float32).tiny))
     )

@@ -50,7 +50,8 @@ class Fault:
     hint: str = ""
 
 
-class RowCount(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class RowCount:
     """The number of live Gaussians of a run, as the model gives it, and the rows of its output."""
 
     count: int
