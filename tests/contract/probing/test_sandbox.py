@@ -176,7 +176,7 @@ def test_a_model_that_never_ends_is_stopped_and_what_it_did_is_kept(folder, chil
     fault, execution = fault_of(path, ["y"], probes, Limits(seconds=3))
     assert fault == Fault("time", "still running after 3 s", 1)
     assert len(execution.runs) == 1
-    assert 3 <= execution.seconds < 10
+    assert 3 <= execution.seconds < 8 * 3 + 10  # other work may take the processor
     assert children[0].returncode == -signal.SIGKILL
 
 
