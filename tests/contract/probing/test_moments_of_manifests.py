@@ -71,7 +71,7 @@ def test_the_defaults_are_those_of_the_manifest():
 def test_open_sizes_are_multiples_of_few_powers_of_two():
     manifest = post_process.draw().manifest
     groups = moments(manifest, {"image": (1, 3, 64, 64)}, {2: 0, 3: 1})
-    sizes = [probe.inputs["image"].shape[2:] for probe in groups["sizes"]]
+    sizes = [probe.inputs["image"].shape[2:] for probe in groups["open sizes"]]
     for power in (8, 16, 64):
         assert any(height % power and width % power for height, width in sizes)
     patterns = {probe.label: probe.inputs["image"] for probe in groups["pictures"]}

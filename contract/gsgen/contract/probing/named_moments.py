@@ -71,7 +71,7 @@ def moments_of(
         yield from (NamedMoment("corners", probe) for probe in _corner_moments(manifest, base))
         yield from (NamedMoment("pictures", probe) for probe in _picture_moments(manifest, base))
         yield from (
-            NamedMoment("sizes", probe) for probe in _size_moments(manifest, base, open_axes)
+            NamedMoment("open sizes", probe) for probe in _size_moments(manifest, base, open_axes)
         )
     if isinstance(manifest, TrajectoryManifest):
         yield from (NamedMoment("histories", probe) for probe in _history_moments(manifest, base))

@@ -32,7 +32,7 @@ _ODD_IMAGE_SIZE = (37, 53)
 _IMAGE_RANK = 4
 # Groups of moments whose runs hold for every rule of single runs.
 _MOMENT_GROUPS = (
-    *("defaults", "frames", "survey", "screens", "pictures", "corners", "sizes", "histories"),
+    *("defaults", "frames", "survey", "screens", "pictures", "corners", "open sizes", "histories"),
 )
 # Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is unknown.
 _FETCHABLE_DTYPES = (

@@ -312,7 +312,7 @@ class _Validation:
         """Yield what a rule of a scope checks in one run, and the row at which that begins."""
         probe = probe_runs.plan.probes[run.probe]
         if scope == "execution":
-            plan = replace(probe_runs.plan, probes=(probe,), values=1)
+            plan = replace(probe_runs.plan, probes=(probe,), values=1, trials={})
             execution = replace(probe_runs.execution, runs=(replace(run, probe=0),))
             yield replace(probe_runs, execution=execution, plan=plan), 0
             return
