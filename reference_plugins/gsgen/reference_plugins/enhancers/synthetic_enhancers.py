@@ -138,7 +138,8 @@ def _set_cubic_weights(network: CompactNet) -> None:
     for parameter in network.parameters():
         parameter.data.zero_()
     first, rectifier, last = network.body
-    assert isinstance(first, nn.Conv2d) and isinstance(last, nn.Conv2d)
+    assert isinstance(first, nn.Conv2d)
+    assert isinstance(last, nn.Conv2d)
     assert isinstance(rectifier, nn.PReLU)
     rectifier.weight.data.fill_(1.0)
     scale = network.scale

@@ -55,7 +55,8 @@ def write_adain(folder: Path, *, width: int = 4, seed: int = 0) -> Path:
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight)
         last = decoder[28]
-        assert isinstance(last, nn.Conv2d) and last.bias is not None
+        assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
         last.bias.fill_(0.5)
         last.weight.mul_(4.0)
     unused = nn.Conv2d(8 * width, 8 * width, 3)

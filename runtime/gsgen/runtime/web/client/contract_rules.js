@@ -710,6 +710,44 @@ actual = `unit metre with ${py.format(space.metres_per_unit, `g`)} metres_per_un
 yield py.violation("manifest space", actual, "1, or unit arbitrary");
 }
 }
+function* used_extensions_present$extensions(subject) {
+  let manifest, name, present, text;
+manifest = subject.manifest;
+text = subject.file.manifest_text;
+if (((manifest == null) || !py.bool(manifest.extensions_used) || !py.bool(text))) {
+return;
+}
+present = py.set(_field_names$extensions(py.loads(text)));
+for (name of py.iter(manifest.extensions_used)) {
+if ((!py.contains(present, name))) {
+yield py.violation("manifest extensions_used", name, `a field ${py.str(name)} in the manifest`);
+}
+}
+}
+function* _field_names$extensions(value) {
+  let part;
+if (py.isinstance(value, py.dict)) {
+yield* py.iter(value);
+}
+for (part of py.iter((py.isinstance(value, py.dict) ? value.values() : value))) {
+if (py.isinstance(part, [py.dict, py.list])) {
+yield* py.iter(_field_names$extensions(part));
+}
+}
+}
+function* picture_range_rises$declarations(subject) {
+  let black, manifest, name, ranges, white;
+manifest = subject.manifest;
+if (!py.isinstance(manifest, PostProcessManifest$manifest)) {
+return;
+}
+ranges = py.dict([["image_range", manifest.image_range], ["outputs.image.range", manifest.outputs.image.range]]);
+for ([name, [black, white]] of py.iter(ranges.entries())) {
+if (!(py.compare(black, white) < 0)) {
+yield py.violation(`manifest ${py.str(name)}`, py.str([black, white]), "black below white");
+}
+}
+}
 function* view_is_4x4$inputs(subject) {
 yield* py.iter(_wrong_shape$inputs(subject, "view", [4, 4]));
 }
@@ -2254,6 +2292,8 @@ export const RULES = [
 {"id": "GM034", "severity": "warning", "hint": "Measure the peak memory of a session with `gsgen bench`, in bytes.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM005"], check: cost_plausible$extensions},
 {"id": "GM035", "severity": "error", "hint": "Keep one of the two, or write the same text under both.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_keys_agree$extensions},
 {"id": "GM036", "severity": "error", "hint": "Write \"unit\": \"arbitrary\" beside a \"metres_per_unit\" other than 1.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: unit_agrees_with_scale$extensions},
+{"id": "GM038", "severity": "warning", "hint": "Remove the name from \"extensions_used\" and \"extensions_required\", or write its field again.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: used_extensions_present$extensions},
+{"id": "GM039", "severity": "error", "hint": "Declare \"image_range\" and the output's \"range\" as [black, white], such as [0, 1] or [-1, 1].", "kinds": ["post-process"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: picture_range_rises$declarations},
 {"id": "GI001", "severity": "error", "hint": "Take a [4, 4] tensor and reshape inside the model.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004"], check: view_is_4x4$inputs},
 {"id": "GI002", "severity": "error", "hint": "Take a [4, 4] tensor and reshape inside the model.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004"], check: projection_is_4x4$inputs},
 {"id": "GI003", "severity": "error", "hint": "Take a [1] tensor.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004"], check: time_is_1$inputs},
