@@ -61,6 +61,35 @@ def launched(path: str, flags: Sequence[str], **options: Any) -> Iterator[Any]:
         browser.close()
 
 
+class GatedBytes(bytes):
+    """Content whose first part is served at once, and the rest when its gate is opened.
+
+    Attributes:
+        share: The first part's share of all bytes.
+        gate: Opened by the test; after a minute the answer is cut off.
+        sent: Bytes that were handed to the network.
+    """
+
+    share: float
+    gate: threading.Event
+    sent: int
+
+    @classmethod
+    def of(cls, content: bytes, share: float) -> "GatedBytes":
+        """Return the content behind a closed gate."""
+        gated = cls(content)
+        gated.share, gated.gate, gated.sent = share, threading.Event(), 0
+        return gated
+
+    def parts(self) -> Iterator[bytes]:
+        """Yield the first part, and the rest when the gate is open."""
+        self.sent = int(self.share * len(self))
+        yield self[: self.sent]
+        if self.gate.wait(60):
+            first, self.sent = self.sent, len(self)
+            yield self[first:]
+
+
 class Handler(SimpleHTTPRequestHandler):
     """Serves folders by the first part of the path, and bytes by their whole path.
 
@@ -94,7 +123,8 @@ class Handler(SimpleHTTPRequestHandler):
         self.send_header("Content-Type", self.guess_type(path))
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        self.wfile.write(body)
+        for part in body.parts() if isinstance(body, GatedBytes) else [body]:
+            self.wfile.write(part)
 
     def end_headers(self) -> None:
         path = unquote(urlsplit(self.path).path)

@@ -104,6 +104,7 @@ def test_children_of_an_element_are_the_models_of_a_scene(
           scene.querySelectorAll("gsgen-model")[2].inputs = { time: 4 };
           await scene.ready;
           scene.orbit = { view: VIEW };
+          while (scene._frameRequest || scene._isDrawing) await new Promise((resolve) => setTimeout(resolve, 10));
           await scene.toBlob();
           const entry = scene.stage.entries[1];
           entry.transform = entry.transform.with(3, 1.25);

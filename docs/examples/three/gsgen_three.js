@@ -97,7 +97,7 @@ export class GsgenCompositor {
     const kernels = await sharedKernels();
     const three = new THREE.WebGPURenderer({ device: kernels.device });
     await three.init();
-    const presenter = new Presenter(kernels, canvas, await kernels.presenting);
+    const presenter = new Presenter(kernels, canvas);
     return new GsgenCompositor(kernels, canvas, three, presenter);
   }
 

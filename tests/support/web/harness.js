@@ -119,7 +119,8 @@ export async function splatFiles(paths, isInWorker = true) {
         if (rows) parts[part].rows.set(rows, 10 * first);
         parts[part].appearance.set(appearance, parts[part].stride * first);
       },
-      end: (part, count) => Object.assign(parts[part].facts, { count }),
+      grow() {},
+      end: (part, count, extent) => Object.assign(parts[part].facts, { count, extent }),
     };
     try {
       const { kind } = await read({ name: path, address: String(new URL(path, location)) }, sink);

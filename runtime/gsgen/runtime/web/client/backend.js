@@ -7,20 +7,24 @@ import { sharedKernels } from "./shared.js";
 import { ShownModel } from "./shown_model.js";
 
 /**
- * @typedef {object} Backend
- * @property {string} note What is told of it when a model is loaded.
- * @property {Promise<{message: string, reason: string}>} lost Resolved when its device is lost.
- * @property {(bytes: ArrayBuffer, name: string, file: import("./source_files.js").SourceFile,
- *     options: import("./model.js").Options) => Promise<any>} show
- *     Opens a model, as a `ShownModel`.
+ * How an element is told of a file.
+ * @typedef {object} Telling
+ * @property {(shown: ShownModel) => void} onBegin Its rows begin to arrive, and may be drawn. If
+ *     the promise is rejected, what was told is destroyed.
+ * @property {(loss: {message: string, reason: string}) => void} onLost The graphics device is lost.
  */
+/** @typedef {import("./model.js").Options & Telling} ShowOptions */
 
-/** @returns {Promise<Backend>} */
-async function webGpu() {
-  const kernels = await sharedKernels();
-  const pipeline = await kernels.presenting;
-  const show = async (bytes, name, file, options) => {
-    const model = await openModel(kernels, bytes, name, options);
+/** @param {import("./source_files.js").SourceFile} file @param {ShowOptions} options */
+async function showByWebGpu(kernels, file, name, options) {
+  /** @type {ShownModel | null} */
+  let shown = null;
+  const onBegin = (model) => {
+    shown = new ShownModel(model.kernels, model, file, options.onChange);
+    options.onBegin(shown);
+  };
+  try {
+    const model = await openModel(kernels, file, name, { ...options, onBegin });
     const count = model.missingPictures ?? 0;
     if (count) {
       model.destroy();
@@ -28,18 +32,28 @@ async function webGpu() {
         where: name, hint: 'Set the attribute images="a.png b.png", or drop files on it.',
       });
     }
-    return new ShownModel(kernels, model, pipeline, file, options.onChange);
-  };
-  return { note: "", lost: /** @type {any} */ (kernels.device.lost), show };
+    return shown ?? new ShownModel(await kernels, model, file, options.onChange);
+  } catch (error) {
+    /** @type {ShownModel | null} */ (shown)?.destroy();
+    throw error;
+  }
 }
 
-/** Return what draws the elements of this page. @returns {Promise<Backend>} */
-export async function sharedBackend() {
+/**
+ * Show a file; the promise resolves when all of it can be drawn.
+ * @param {import("./source_files.js").SourceFile} file
+ * @param {string} name For messages.
+ * @param {ShowOptions} options
+ * @returns {Promise<any>} A `ShownModel`, or what three.js shows.
+ */
+export async function show(file, name, options) {
+  const kernels = sharedKernels();
+  kernels.then(({ device }) => device.lost).then(options.onLost, () => {});
   try {
-    return await webGpu();
+    return await showByWebGpu(kernels, file, name, options);
   } catch (error) {
     if (!(error instanceof WebGpuMissing)) throw error;
-    const { webGl2 } = await import("./without_webgpu.js");
-    return webGl2(error);
+    const { showByThree } = await import("./without_webgpu.js");
+    return showByThree(error, file, name, options);
   }
 }

@@ -1,6 +1,6 @@
 /** Bytes that arrive: taken in pieces of any size, or all that are left. */
 
-import { failing } from "./errors.js";
+import { GsgenError, failing } from "./errors.js";
 
 export class ByteSource {
   /**
@@ -44,7 +44,8 @@ export class ByteSource {
       return await this._reader.read();
     } catch (error) {
       if (error.name === "AbortError" || error.hint !== undefined) throw error;
-      return failing(this.name, "Download it again.")(`cannot be read to its end: ${error.message}`);
+      const details = { where: this.name, hint: "Download it again.", isTransient: error.name === "TypeError" };
+      throw new GsgenError(`cannot be read to its end: ${error.message}`, details);
     }
   }
 

@@ -1,7 +1,9 @@
 /** Loads bytes: from an address, or from a script element of the same document (`#id`). */
 
 import { ByteSource } from "./byte_source.js";
-import { failing } from "./errors.js";
+import { GsgenError, failing } from "./errors.js";
+
+const TRANSIENT = [408, 425, 429, 500, 502, 503, 504]; // states that another attempt may not meet
 
 /**
  * Open what lies at an address; its bytes arrive while they are taken.
@@ -10,15 +12,18 @@ import { failing } from "./errors.js";
  * @param {RequestCache} [cache]
  */
 export async function openSource(address, name = address, onProgress = () => {}, signal, cache) {
-  const fail = failing(address, "Is the address right, and may this page read it (CORS)?");
+  const fail = (problem, isTransient) => {
+    const hint = "Is the address right, and may this page read it (CORS)?";
+    throw new GsgenError(`cannot be loaded: ${problem}`, { where: address, hint, isTransient });
+  };
   let response;
   try {
     response = await fetch(address, { signal, cache });
   } catch (error) {
     if (signal?.aborted) throw error;
-    fail(`cannot be loaded: ${error.message}`);
+    return fail(error.message, true);
   }
-  if (!response.ok) fail(`cannot be loaded: ${response.status} ${response.statusText}`);
+  if (!response.ok) fail(`${response.status} ${response.statusText}`, TRANSIENT.includes(response.status));
   const length = Number(response.headers.get("Content-Length") ?? 0);
   // Packed by the server, a file is longer than its header says; other origins hide whether it is.
   const isPlain = response.type === "basic" && !response.headers.get("Content-Encoding");
@@ -38,11 +43,6 @@ export async function download(address, onProgress = () => {}, signal = /** @typ
   if (address.startsWith("#")) return inlined(address);
   const bytes = await (await openSource(address, address, onProgress, signal)).rest();
   return bytes.length === bytes.buffer.byteLength ? bytes.buffer : bytes.slice().buffer;
-}
-
-/** Return the bytes of an address as a blob. */
-export async function downloadBlob(address, onProgress, signal = /** @type {AbortSignal | undefined} */ (undefined)) {
-  return new Blob([await (await openSource(address, address, onProgress, signal)).rest()]);
 }
 
 /** Return the value of bytes that are a JSON object; null of other bytes. */

@@ -1,7 +1,7 @@
 /** The element `<gsgen-model>`: shows a splat file or a generator in a page. */
 
 import { Annotations } from "./annotations.js";
-import { sharedBackend } from "./backend.js";
+import { show } from "./backend.js";
 import { GsgenError } from "./errors.js";
 import { ModelControls } from "./model_controls.js";
 import { canShow, sourceFile } from "./source_files.js";
@@ -41,6 +41,7 @@ export class GsgenModel extends ModelControls {
     this._isPending = true; // until it is in view
     this._loading = new AbortController();
     this._isBack = false; // after a loss
+    this._isPartial = false; // what is shown is still arriving
     /** @type {number[]} Moments at which the device was lost. */
     this._losses = [];
     this._failedFrames = 0;
@@ -90,7 +91,7 @@ export class GsgenModel extends ModelControls {
       this._resizes.disconnect();
       this._visibility.disconnect();
       this._annotations.disconnect();
-      this._loading.abort();
+      this._stopLoading();
       this._release();
       this._enter("empty");
     });
@@ -205,8 +206,8 @@ export class GsgenModel extends ModelControls {
 
   _sourceChanged() {
     this._isPending = true;
+    this._stopLoading();
     this._kept = null;
-    this._loading.abort();
     if (this._ready.isSettled) this._renewReady();
     if (this._candidates().length) {
       if (this._isVisible || this._shown || this.loading === "eager") this._loadIfPending();
@@ -224,6 +225,12 @@ export class GsgenModel extends ModelControls {
     if (this._isPending && this.isConnected) this._load();
   }
 
+  /** Stop loading; what has arrived of a model that is drawn meanwhile goes, too. */
+  _stopLoading() {
+    this._loading.abort();
+    if (this._isPartial) this._release();
+  }
+
   /** Release the model, but for its camera and time: it may come back. */
   _release() {
     cancelAnimationFrame(this._frameRequest);
@@ -236,11 +243,12 @@ export class GsgenModel extends ModelControls {
     }
     this._presenter?.destroy();
     this._shown = this._presenter = null;
+    this._isPartial = false;
   }
 
   async _load() {
     const candidates = this._candidates();
-    this._loading.abort();
+    this._stopLoading();
     const { signal } = (this._loading = new AbortController());
     this._tried = candidates.map(({ source }) => source);
     this._isPending = !candidates.length;
@@ -258,6 +266,7 @@ export class GsgenModel extends ModelControls {
       } catch (error) {
         await pause(LOSS_DELAY); // a loss of the device loads again
         if (signal.aborted) return;
+        if (this._isPartial) this._release();
         element?.dispatchEvent(new Event("error"));
         if (source !== candidates[candidates.length - 1].source) continue;
         this._release();
@@ -269,16 +278,19 @@ export class GsgenModel extends ModelControls {
   async _open(source, signal) {
     const file = sourceFile(source);
     this._file = file;
-    const progress = (loaded, total) => {
-      this._view.showProgress(loaded, total);
-      this._tell("progress", { loaded, total });
-    };
-    const [backend, bytes] = await Promise.all([sharedBackend(), file.bytes(progress, signal)]);
-    signal.throwIfAborted();
-    backend.lost.then((loss) => signal.aborted || this._lose(loss));
     const name = this.getAttribute("name") ?? source;
+    let isPrepared = false;
     const options = {
       source,
+      onProgress: (loaded, total) => {
+        this._view.showProgress(loaded, total);
+        this._tell("progress", { loaded, total });
+      },
+      onBegin: (shown) => {
+        isPrepared = true;
+        this._begin(shown);
+      },
+      onLost: (loss) => signal.aborted || this._lose(loss),
       target: this.target,
       pictures: this.pictures,
       maxError: this.maxError ?? undefined,
@@ -288,20 +300,20 @@ export class GsgenModel extends ModelControls {
       onWarning: (where, problem) => this._complain(where, problem),
       onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
     };
-    const shown = await backend.show(bytes, name, file, options);
+    const shown = await show(file, name, options);
     if (signal.aborted) return shown.destroy();
-    this._prepare(shown);
+    if (!isPrepared) this._prepare(shown);
     const [width, height] = this._size();
     // The last picture stays until this one is drawn.
     const failure = width && height ? await shown.draw(width, height, this._look(shown)).then(() => null, (error) => error) : null;
     if (failure) await pause(LOSS_DELAY);
     if (signal.aborted) return shown.destroy();
-    this._shown?.destroy();
-    [this._shown, this._kept, this._failedFrames] = [shown, null, 0];
+    if (shown !== this._shown) this._shown?.destroy();
+    [this._shown, this._kept, this._failedFrames, this._isPartial] = [shown, null, 0, false];
     this._annotations.write(shown.model.annotations ?? [], (camera) => (this.orbit = camera));
     this._view.hideProgress();
     this._view.showPoster(null);
-    this._view.say(`Loaded${backend.note}: ${this.getAttribute("alt") ?? name}`);
+    this._view.say(`Loaded${shown.renderedBy === "webgpu" ? "" : " without WebGPU"}: ${this.getAttribute("alt") ?? name}`);
     this._timeChanged();
     this._checkInputs();
     if (failure) return this._fail(failure);
@@ -319,6 +331,18 @@ export class GsgenModel extends ModelControls {
       this._complain("posts", [message, hint].filter(Boolean).join(" "));
     });
     this._checkInputs();
+    this._requestFrame();
+  }
+
+  /** Draw what begins to arrive, where nothing else is shown; its kernels are compiled meanwhile. */
+  _begin(shown) {
+    this._prepare(shown);
+    if (this._shown || this.poster) {
+      const [width, height] = this._size();
+      if (width && height) shown.draw(width, height, this._look(shown)).catch(() => {}); // drawn again when it is whole
+      return;
+    }
+    [this._shown, this._isPartial] = [shown, true];
     this._requestFrame();
   }
 

@@ -4,15 +4,17 @@
 export class GsgenError extends Error {
   /**
    * @param {string} message The problem, with the actual and the expected value.
-   * @param {{where?: string, hint?: string, rule?: string, findings?: any[]}} [details]
+   * @param {{where?: string, hint?: string, rule?: string, findings?: any[],
+   *     isTransient?: boolean}} [details] Transient is what another attempt may not meet.
    */
-  constructor(message, { where = "", hint = "", rule = "", findings = [] } = {}) {
+  constructor(message, { where = "", hint = "", rule = "", findings = [], isTransient = false } = {}) {
     super(where ? `${where}: ${message}` : message);
     this.name = "GsgenError";
     this.where = where;
     this.hint = hint;
     this.rule = rule;
     this.findings = findings;
+    this.isTransient = isTransient;
   }
 }
 

@@ -44,7 +44,10 @@ function openWorker() {
       else if (call === "resolve") finish(id, readings.get(id)?.resolve, args[0]);
       else if (call === "reject") finish(id, readings.get(id)?.reject, errorOf(args[0]));
       else if (call === "progress") readings.get(id)?.progress(args[0], args[1]);
-      else readings.get(id)?.sink[call](...args);
+      else {
+        const taken = () => call === "write" && worker.postMessage({ id });
+        Promise.resolve(readings.get(id)?.sink[call](...args)).then(taken, taken);
+      }
     };
   });
 }
@@ -74,6 +77,7 @@ async function closeWorker() {
  * @param {import("./row_writer.js").Sink} sink
  * @param {(loaded: number, total: number) => void} [progress]
  * @param {AbortSignal} [signal]
+ * @returns {Promise<import("./splat_files.js").FileContent>}
  */
 export async function readInBackground(request, sink, progress = () => {}, signal) {
   const worker = await (opening ??= openWorker());
@@ -98,5 +102,41 @@ function inSlices(sink) {
     await sink.write(...words);
     await new Promise((resolve) => setTimeout(resolve));
   };
-  return { begin: (facts) => sink.begin(facts), write, end: (...words) => sink.end(...words) };
+  const { begin, grow, end } = sink;
+  return { begin, write, grow, end };
+}
+
+/**
+ * Read the parts of a file of splats into arrays, or else its bytes.
+ * @param {import("./splat_files.js").Request} request
+ * @param {(loaded: number, total: number) => void} [progress]
+ * @param {AbortSignal} [signal]
+ */
+export async function readParts(request, progress, signal) {
+  /** @type {any[]} */
+  const parts = [];
+  const sink = {
+    begin(facts) {
+      const { count, channels } = facts;
+      return parts.push({ ...facts, rows: new Float32Array(10 * count), appearance: new Float32Array(channels * count) }) - 1;
+    },
+    write(part, first, rows, appearance) {
+      const { channels, ...own } = parts[part];
+      const stride = 4 * Math.ceil(channels / 4);
+      if (rows) own.rows.set(rows, 10 * first);
+      if (stride === channels) return own.appearance.set(appearance, channels * first);
+      for (let row = 0; row < appearance.length / stride; row++) {
+        own.appearance.set(appearance.subarray(row * stride, row * stride + channels), channels * (first + row));
+      }
+    },
+    grow() {},
+    end: (part, count, extent) => Object.assign(parts[part], { count, extent }),
+  };
+  return { ...(await readInBackground(request, sink, progress, signal)), parts };
+}
+
+/** Return the extent of rows. @param {{rows: Float32Array, count: number}} splats */
+export async function extentInBackground({ rows, count }) {
+  const { extent } = await readInBackground({ name: "", rows, count }, /** @type {any} */ ({}));
+  return /** @type {import("./framing.js").Extent} */ (extent);
 }

@@ -44,9 +44,19 @@ export function findingsOf(subject) {
 }
 
 /**
- * Return what is known of a model before it runs; throw where it breaks a rule.
+ * What is known of a model before it runs.
+ * @typedef {object} Inspected
+ * @property {any} manifest
+ * @property {PageFinding[]} findings
+ * @property {{name: string, dtype: string, dims: (number | string)[]}[]} inputs
+ * @property {{name: string, varies: boolean, isCopied: boolean}[]} outputs Whether each depends on
+ *     an input, and is a buffer copy, which a captured graph does not record.
+ */
+/**
+ * Return what is known of a model; throw where it breaks a rule.
  * @param {Uint8Array} bytes
  * @param {string} [kind] What the model has to be.
+ * @returns {Inspected}
  */
 export function inspectedModel(bytes, name, target, kind = "gaussian-generator") {
   const fail = failing(name, "Download it again, or see what is wrong: gsgen validate MODEL");
@@ -70,5 +80,11 @@ export function inspectedModel(bytes, name, target, kind = "gaussian-generator")
   const { extensions_required: required } = subject.manifest;
   if (subject.kind !== kind) fail(`is a ${subject.kind}, expected a ${kind}`, KIND_HINTS[kind]);
   if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
-  return { subject, manifest: JSON.parse(subject.file.manifest_text), findings };
+  const { graph, file } = subject;
+  const outputs = graph.output_names.map((output) => {
+    const { op_type, input } = graph.producers.get(output) ?? {};
+    return { name: output, varies: graph.varies(output), isCopied: !op_type || contract.isCopy(op_type, input.length, true) };
+  });
+  const inputs = graph.inputs.map((input) => ({ name: input.name, dtype: input.dtype, dims: input.dims && [...input.dims] }));
+  return { manifest: JSON.parse(file.manifest_text), findings, inputs, outputs };
 }

@@ -5,13 +5,12 @@
  * one frame. Rows are the contract's: x y z opacity xx xy xz yy yz zz, ten float32 numbers each.
  */
 
-import { download, parsedJson } from "./download.js";
 import { GsgenError, failing } from "./errors.js";
 import { GeneratorInputs, pageTensors, timeOf, upOf } from "./generator_inputs.js";
-import { FIRST_OF_ONNX } from "./model.js";
+import { readParts } from "./file_reader.js";
 import { IDENTITY } from "./matrices.js";
 import { createSession, onnxRuntime, runInTurn } from "./onnx_runtime.js";
-import { readSplats } from "./splat_files.js";
+import { sourceFile } from "./source_files.js";
 
 /**
  * The Gaussians of one moment; the next run may write the same arrays.
@@ -49,22 +48,24 @@ const PROVIDERS = ["webgpu", "wasm"];
  * @returns {Promise<Frames>}
  */
 export async function open(address, options) {
-  return framesOf(await download(address), address, options);
+  return framesOf(sourceFile(address).request(address), options);
 }
 
 /**
- * Open a model from its bytes.
- * @param {ArrayBuffer} data
- * @param {string} name Address of the file, for messages.
- * @param {{provider?: "webgpu" | "wasm"}} [options]
+ * Open a model.
+ * @param {import("./splat_files.js").Request} request
+ * @param {{provider?: "webgpu" | "wasm", onProgress?: (loaded: number, total: number) => void, signal?: AbortSignal}} [options]
  * @returns {Promise<Frames>}
  */
-export async function framesOf(data, name, { provider = "webgpu" } = {}) {
+export async function framesOf(request, { provider = "webgpu", onProgress, signal } = {}) {
   if (!PROVIDERS.includes(provider)) failing("provider")(`is ${provider}, expected ${PROVIDERS.join(" or ")}`);
-  const bytes = new Uint8Array(data);
-  if (bytes[0] === FIRST_OF_ONNX) return generatorFrames(bytes, name, provider);
-  if (parsedJson(data)) failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a tileset or a scene, expected a generator or splats");
-  return stillFrames(await readSplats(data, name));
+  const { name } = request;
+  const fail = failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.");
+  const { parts, ...content } = await readParts(request, onProgress, signal);
+  if (content.kind === "onnx") return generatorFrames(content, name, provider);
+  if (content.kind !== "splats") fail("is a tileset or a scene, expected a generator or splats");
+  if (parts.length > 1) fail("holds several parts, expected one");
+  return stillFrames(parts[0]);
 }
 
 /** Return the one frame of a splat file. @param {import("./splat_buffers.js").Splats} splats @returns {Frames} */
@@ -80,10 +81,9 @@ function stillFrames({ rows, appearance, channels, space, count, antialias, colo
   };
 }
 
-/** @returns {Promise<Frames>} */
-async function generatorFrames(bytes, name, provider) {
-  const { inspectedModel } = await import("./findings.js");
-  const { subject, manifest, findings } = inspectedModel(bytes, name);
+/** @param {import("./splat_files.js").FileContent} content @returns {Promise<Frames>} */
+export async function generatorFrames({ bytes, inspected }, name, provider) {
+  const { manifest, findings, outputs: declared } = /** @type {import("./findings.js").Inspected} */ (inspected);
   const { gaussians, appearance, count } = manifest.outputs;
   if (manifest.blend === "wsr") {
     failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("is a weighted sum, expected sorted Gaussians");
@@ -103,12 +103,13 @@ async function generatorFrames(bytes, name, provider) {
       throw new GsgenError(`the model fails: ${error.message}`, { where: name, hint: "See what is wrong: gsgen validate MODEL" });
     }
   };
+  const isConstant = declared.some((output) => output.name === appearance.name && !output.varies);
   /** @type {Float32Array | null} Colours that depend on no input: they are computed once. */
   let constant = null;
   const frameOf = (outputs) => {
     const [rows, colors, live] = names.map((output) => outputs[output]?.data);
     const shown = constant ?? float32Of(colors);
-    if (!subject.graph.varies(appearance.name)) constant = shown;
+    if (isConstant) constant = shown;
     const drawn = live ? Math.min(Math.max(Number(live[0]), 0), gaussians.capacity) : gaussians.capacity;
     return { rows: float32Of(rows), appearance: shown, live: drawn };
   };

@@ -1,5 +1,7 @@
 /** Finds the box of the Gaussians that the first camera shows: all but floaters, as Python does. */
 
+import { plus } from "./matrices.js";
+
 // A floater lies apart from the object, with few others; `sources/framing.py` says how it is known.
 const SPREAD_QUANTILES = [0.1, 0.9];
 const MIN_CUBE_SIDE = 1 / 16;
@@ -37,6 +39,29 @@ export function boxAround({ rows, count }) {
     }
   }
   return { low, high };
+}
+
+/**
+ * Return the centre of the box around all Gaussians but floaters, half its sides and its diagonal.
+ * @typedef {{center: number[], half: number[], reach: number}} Extent
+ * @param {{rows: Float32Array, count: number}} splats
+ * @returns {Extent}
+ */
+export function extentOf(splats) {
+  const { low, high } = boxAround(splats) ?? { low: [0, 0, 0], high: [0, 0, 0] };
+  return extentBetween(low, high);
+}
+
+/** Return the extent of several moments. @param {Extent[]} boxes */
+export function mergedExtent(boxes) {
+  const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
+  const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
+  return extentBetween(low, high);
+}
+
+function extentBetween(low, high) {
+  const half = plus(high, -1, low).map((side) => side / 2);
+  return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
 }
 
 /** Return the standard deviation of a Gaussian along an axis. */

@@ -6,13 +6,13 @@
  */
 
 import { failing } from "./errors.js";
-import { inspectedModel } from "./findings.js";
+import { mergedExtent } from "./framing.js";
+import { extentInBackground } from "./file_reader.js";
 import { SURVEY_CAMERA, surveyedValues, timeOf, upOf } from "./generator_inputs.js";
 import { ModelSession } from "./model_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { IDENTITY } from "./matrices.js";
-import { extentOf, mergedExtent } from "./model.js";
 import { pictureValues } from "./pictures.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
 
@@ -104,14 +104,19 @@ class GeneratorBuffers {
 
 /** A generator in a page. */
 export class GeneratorModel {
-  static async open(kernels, data, name, options = /** @type {{target?: string, pictures?: (Blob | string)[]}} */ ({})) {
-    if (kernels.openGenerator) return kernels.openGenerator(data, name); // without WebGPU
-    const { target, pictures = [] } = options;
-    const bytes = new Uint8Array(data);
-    const { subject, manifest, findings } = inspectedModel(bytes, name, target);
-    const session = await ModelSession.open(kernels, bytes, subject, manifest, name);
-    const model = new GeneratorModel(kernels, session, manifest);
-    model.findings = findings;
+  /**
+   * @param {any} kernels
+   * @param {import("./splat_files.js").FileContent} content
+   * @param {string} name
+   * @param {{pictures?: (Blob | string)[]}} [options]
+   */
+  static async open(kernels, content, name, { pictures = [] } = {}) {
+    if (kernels.openGenerator) return kernels.openGenerator(content, name); // without WebGPU
+    const { bytes, inspected } = content;
+    if (!inspected) return failing(name)("was not checked");
+    const session = await ModelSession.open(kernels, bytes, inspected, name);
+    const model = new GeneratorModel(kernels, session, inspected.manifest);
+    model.findings = inspected.findings;
     if (pictures.length) await model._takePictures(pictures, name);
     await model._survey();
     return model;
@@ -167,7 +172,7 @@ export class GeneratorModel {
     const boxes = [];
     for (const values of surveyedValues(this.time)) {
       await this.update(values, SURVEY_CAMERA);
-      boxes.push(extentOf(await this._liveRows()));
+      boxes.push(await extentInBackground(await this._liveRows()));
     }
     this.extent = mergedExtent(boxes);
   }

@@ -98,13 +98,13 @@ export class KernelCache {
     };
   }
 
-  /** The pipeline that shows an image on a canvas, whose format is the same for all canvases. */
+  /** The pipeline that shows an image on a canvas, whose format is the same for all. @returns {GPURenderPipeline} */
   get presenting() {
     return remembered(this._pipelines, -1, () => {
       const { vertex, fragment, module: row } = this.plans.present;
       const module = this.module(row);
       const format = navigator.gpu.getPreferredCanvasFormat();
-      return this.device.createRenderPipelineAsync({
+      return this.device.createRenderPipeline({
         label: "present",
         layout: "auto",
         vertex: { module, entryPoint: vertex },

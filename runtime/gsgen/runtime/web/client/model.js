@@ -1,13 +1,12 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
-import { inlined, parsedJson } from "./download.js";
-import { boxAround } from "./framing.js";
+import { parsedJson } from "./download.js";
 import { readInBackground } from "./file_reader.js";
-import { moved, plus } from "./matrices.js";
-import { inTurns } from "./once.js";
+import { mergedExtent } from "./framing.js";
+import { moved } from "./matrices.js";
+import { inTurns, remembered } from "./once.js";
+import { SourceFile, sourceFile } from "./source_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
-
-export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a model has: the field ir_version
 
 /** @typedef {import("./host.js").KernelCache} KernelCache */
 /**
@@ -35,36 +34,17 @@ export const FIRST_OF_ONNX = 8; // its first byte, which no other file of a mode
  * @property {(seconds: number) => any} [cameraAt] Of scenes: the orbit at a time; null without one.
  */
 
-/**
- * Return the centre of the box around all Gaussians but floaters, half its sides and its diagonal.
- * @param {{rows: Float32Array, count: number}} splats
- */
-export function extentOf(splats) {
-  const { low, high } = boxAround(splats) ?? { low: [0, 0, 0], high: [0, 0, 0] };
-  const half = low.map((least, axis) => (high[axis] - least) / 2);
-  return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
-}
-
-/** Return the extent of several moments. @param {ReturnType<typeof extentOf>[]} boxes */
-export function mergedExtent(boxes) {
-  const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
-  const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
-  const half = plus(high, -1, low).map((side) => side / 2);
-  return { center: plus(low, 1, half), half, reach: Math.hypot(...half) || 1 };
-}
-
 /** The model of a splat file, whose rows are drawn while they arrive. */
 class StillModel {
-  /** @param {import("./host.js").KernelCache} kernels @param {(isFirst: boolean) => void} onChange */
-  constructor({ device, plans }, onChange) {
-    this._device = device;
-    this._plans = plans;
+  /** @param {KernelCache} kernels @param {() => void} onChange */
+  constructor(kernels, onChange) {
+    this.kernels = kernels;
     this._onChange = onChange;
     /** @type {{buffers: SplatBuffers, transform: readonly number[]}[]} */
     this.sets = [];
-    /** @type {Float32Array[]} Rows of each part, that framing looks at. */
-    this._rows = [];
-    this._told = 0; // rows when somebody was last told
+    /** @type {import("./framing.js").Extent[]} */
+    this._extents = [];
+    this.extent = { center: [0, 0, 0], half: [0, 0, 0], reach: 1 };
     this.up = [0, -1, 0];
     this.time = null;
     this.inputs = [];
@@ -77,44 +57,30 @@ class StillModel {
     return { count, isLinear: this.sets.some(({ buffers }) => buffers.isLinear) };
   }
 
-  get extent() {
-    const extents = this.sets.map(({ buffers, transform }, part) => {
-      const own = extentOf({ rows: this._rows[part], count: buffers.count });
-      return { ...own, center: moved(transform, own.center) }; // it mirrors axes, at most
-    });
-    const extent = extents.length === 1 ? extents[0] : mergedExtent(extents);
-    if (!this.followsCamera) Object.defineProperty(this, "extent", { value: extent });
-    return extent;
-  }
-
   begin(facts) {
-    this.sets.push({ buffers: new SplatBuffers(this._device, this._plans, facts), transform: facts.transform });
-    this._rows.push(new Float32Array(10 * facts.count));
+    const { device, plans } = this.kernels;
+    this.sets.push({ buffers: new SplatBuffers(device, plans, facts), transform: facts.transform });
     if (facts.up) this.up = facts.up;
-    return this.sets.length - 1;
   }
 
   write(part, first, rows, appearance) {
     const { buffers } = this.sets[part];
     buffers.write(first, rows, appearance);
-    if (!rows) return;
-    this._rows[part].set(rows, 10 * first);
-    buffers.count = first + rows.length / 10;
-    const { count } = this.buffers;
-    if (count < 2 * this._told) return; // more pictures would take longer than the file
-    this._onChange(!this._told);
-    this._told = count;
+    if (rows) buffers.count = first + rows.length / 10;
+  }
+
+  grow(part, extent) {
+    // The transform of a file mirrors axes, at most.
+    this._extents[part] = { ...extent, center: moved(this.sets[part].transform, extent.center) };
+    const known = Object.values(this._extents);
+    this.extent = known.length === 1 ? known[0] : mergedExtent(known);
+    this._onChange();
   }
 
   /** Say how many rows of a part there are. */
-  end(part, count) {
+  end(part, count, extent) {
     this.sets[part].buffers.count = count;
-  }
-
-  /** Say that there are no more parts. */
-  finish() {
-    this.followsCamera = false;
-    return this;
+    this.grow(part, extent);
   }
 
   /** Return whether sets were added; those who share a model have their own. */
@@ -136,88 +102,137 @@ class StillModel {
  * @property {number} [maxSplats] Most Gaussians in GPU memory.
  * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.
- * @property {(model: Model) => void} [onFirst] Called when the first rows of a file can be drawn.
+ * @property {(model: any) => void} [onBegin] Called when rows of a file begin to arrive.
  * @property {() => void} onChange Called when more rows or tiles have arrived.
  * @property {(error: import("./errors.js").GsgenError) => void} onError
  * @property {(where: string, problem: string) => void} [onWarning] Told what a page does not draw.
  */
 
-/** Return what reads a source: an address, `#id` of an element that holds a file, or its bytes. */
-export function requestOf(source, name) {
-  if (typeof source !== "string") return { name, bytes: source };
-  if (source.startsWith("#")) return { name, bytes: inlined(source) };
-  return { name, address: String(new URL(source, document.baseURI)) };
-}
-
-/**
- * Read a file: its splats into GPU memory while they arrive, or else its bytes.
- * @param {KernelCache | Promise<KernelCache>} kernels
- * @param {import("./splat_files.js").Request} request
- * @param {Pick<Options, "onProgress" | "onFirst" | "onChange" | "signal">} options
- * @returns {Promise<StillModel | {kind: string, bytes: Uint8Array}>}
- */
-export async function readModel(kernels, request, { onProgress, onFirst = () => {}, onChange, signal }) {
-  /** @type {StillModel | null} */
-  let still = null;
-  const failure = Promise.withResolvers();
-  // Rows may arrive before the device is there: what they are told to follows in their order.
-  const inOrder = inTurns();
-  const told = (task) => {
-    const turn = inOrder(async () => {
-      const own = (still ??= new StillModel(await kernels, (isFirst) => (isFirst ? onFirst(own) : onChange())));
-      return signal?.aborted ? undefined : task(own);
-    });
-    turn.catch(failure.reject);
-    return turn;
-  };
-  let parts = 0;
-  const sink = {
-    begin(facts) {
-      told((model) => model.begin(facts));
-      return parts++;
-    },
-    write: (...words) => told((model) => model.write(...words)),
-    end: (...words) => told((model) => model.end(...words)),
-  };
-  const reading = readInBackground(request, sink, onProgress, signal).then((result) => {
-    return result.kind === "splats" ? told((model) => model.finish()) : result;
-  });
-  try {
-    const result = await Promise.race([reading, failure.promise]);
-    signal?.throwIfAborted();
-    return result;
-  } catch (error) {
-    /** @type {StillModel | null} */ (still)?.destroy();
-    throw error;
+/** A file on its way into GPU memory, for all who open it; of other files, their bytes. */
+class Reading {
+  /**
+   * @param {KernelCache | Promise<KernelCache>} kernels
+   * @param {SourceFile} file
+   * @param {() => void} forget Called when all who opened it have left.
+   */
+  constructor(kernels, file, name, target, forget) {
+    /** @type {Set<{options: Options, begin: () => void}>} */
+    this._users = new Set();
+    this._forget = forget;
+    this._stop = new AbortController();
+    /** @type {StillModel | null} */
+    this._still = null;
+    this._content = this._read(kernels, file, name, target);
+    this._content.catch(() => {}); // each user hears of it
   }
-}
 
-/** Return the model of what was read. @returns {Promise<Model>} */
-export async function modelOf(kernels, read, name, options) {
-  return read instanceof StillModel ? read : opened(await kernels, read, name, options);
+  /** @returns {Promise<import("./splat_files.js").FileContent>} */
+  async _read(kernels, file, name, target) {
+    const { signal } = this._stop;
+    const failure = Promise.withResolvers();
+    Promise.resolve(kernels).catch(failure.reject);
+    // Rows may arrive before the device is there: what they are told to follows in their order.
+    const inOrder = inTurns();
+    const told = (task) => {
+      const turn = inOrder(async () => {
+        const known = await kernels;
+        if (signal.aborted) return;
+        this._still ??= new StillModel(known, () => this._users.forEach(({ options }) => options.onChange()));
+        await task(this._still);
+      });
+      turn.catch(failure.reject);
+      return turn;
+    };
+    const begin = (still, facts) => {
+      still.begin(facts);
+      if (still.sets.length === 1) this._users.forEach((user) => user.begin());
+    };
+    let parts = 0;
+    const sink = {
+      begin(facts) {
+        told((still) => begin(still, facts));
+        return parts++;
+      },
+      write: (...words) => told((still) => still.write(...words)),
+      grow: (...words) => told((still) => still.grow(...words)),
+      end: (...words) => told((still) => still.end(...words)),
+    };
+    const tell = (loaded, total) => this._users.forEach(({ options }) => options.onProgress?.(loaded, total));
+    const reading = readInBackground(file.request(name, target), sink, tell, signal).then(async (content) => {
+      file.wasRead = true;
+      if (content.kind === "splats") await told((still) => (still.followsCamera = false));
+      return content;
+    });
+    return /** @type {any} */ (Promise.race([reading, failure.promise]));
+  }
+
+  /**
+   * Wait until all has arrived. Splats are a model that is shared: all who opened it destroy it.
+   * @param {Options} options
+   * @returns {Promise<{model: Model | null, content: import("./splat_files.js").FileContent}>}
+   */
+  async open(options) {
+    const { signal, onBegin } = options;
+    const left = Promise.withResolvers();
+    left.promise.catch(() => {});
+    /** @type {any} */
+    let model = null;
+    const leave = () => {
+      if (!this._users.delete(user) || this._users.size) return;
+      this._forget();
+      this._stop.abort();
+      this._still?.destroy();
+    };
+    const begin = () => {
+      model = Object.create(this._still, { destroy: { value: leave } });
+      onBegin?.(model);
+    };
+    const abort = () => {
+      leave();
+      left.reject(signal?.reason);
+    };
+    const user = { options, begin };
+    this._users.add(user);
+    signal?.addEventListener("abort", abort);
+    try {
+      signal?.throwIfAborted();
+      if (this._still?.sets.length) begin();
+      const content = /** @type {any} */ (await Promise.race([this._content, left.promise]));
+      if (content.kind !== "splats") leave();
+      return { model, content };
+    } catch (error) {
+      leave();
+      throw error;
+    } finally {
+      signal?.removeEventListener("abort", abort);
+    }
+  }
 }
 
 /**
  * Open a model; the promise resolves when all of it has arrived.
  * @param {KernelCache | Promise<KernelCache>} kernels
- * @param {string | ArrayBuffer} source Address of the file, `#id` of an element that holds it, or its bytes.
+ * @param {SourceFile | string | ArrayBuffer} source The file, its address, `#id` of an element that holds it, or its bytes.
  * @param {string} name Of the file, for messages.
  * @param {Options} [options]
+ * @returns {Promise<Model>}
  */
 export async function openModel(kernels, source, name, options = { onChange() {}, onError() {} }) {
-  return modelOf(kernels, await readModel(kernels, requestOf(source, name), options), name, options);
-}
-
-/** Open a generator, a scene or a tileset from its bytes. */
-async function opened(kernels, { kind, bytes }, name, options) {
+  const file = source instanceof SourceFile ? source : typeof source === "string" ? sourceFile(source) : new SourceFile(name, source);
+  const { target } = options;
+  const readings = remembered(file.readings, kernels, () => new Map());
+  const reading = remembered(readings, target, () => new Reading(kernels, file, name, target, () => readings.delete(target)));
+  const { model, content } = await reading.open(options);
+  if (model) return model;
+  const { kind, bytes } = content;
   if (kind === "onnx") {
     const { GeneratorModel } = await import("./generator.js");
-    return GeneratorModel.open(kernels, bytes, name, options);
+    return GeneratorModel.open(await kernels, content, name, options);
   }
   if (kind === "scene") {
     const { Stage } = await import("./stage.js");
-    return Stage.open(kernels, parsedJson(bytes), name, options);
+    return Stage.open(await kernels, parsedJson(bytes), name, options);
   }
   const { TilesetModel } = await import("./tileset.js");
-  return new TilesetModel(kernels, parsedJson(bytes), name, options);
+  return new TilesetModel(await kernels, parsedJson(bytes), name, options);
 }

@@ -255,7 +255,7 @@ export class ModelControls extends AttributedElement {
   _firstOrbit({ extent, up, camera = {} }) {
     const [azimuth, elevation, radius] = this._valueOf("camera-orbit").map((part) => part ?? undefined);
     const point = this._valueOf("camera-target");
-    const target = point.length === 3 ? point.map((part, axis) => part ?? extent.center[axis]) : undefined;
+    const target = point.length === 3 ? point : undefined;
     const limits = ["min-camera-orbit", "max-camera-orbit"].map((name) => this._valueOf(name));
     const [, sign, letter] = /^([+-]?)([xyz])$/.exec(this.up) ?? [];
     const axis = letter ? ["x", "y", "z"].map((name) => Number(name === letter && `${sign}1`)) : up;

@@ -5,7 +5,6 @@
  * (most often the colours and the count) come from one run that is not captured.
  */
 
-import { isCopy } from "./contract_rules.js";
 import { GsgenError } from "./errors.js";
 import { GeneratorInputs, gpuTensors } from "./generator_inputs.js";
 import { storageBuffer } from "./gpu_buffers.js";
@@ -18,22 +17,18 @@ const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
 export class ModelSession {
   /**
    * @param {any} kernels Whose device it runs on.
-   * @param {any} subject What rules read of the model.
+   * @param {any} inspected What rules say of the model; see `Inspected` of findings.js.
    * @param {Record<string, number>} [sizes] Of open dimensions.
    */
-  static async open(kernels, bytes, subject, manifest, name, sizes) {
-    const [{ device }, { graph }] = [kernels, subject];
+  static async open({ device }, bytes, inspected, name, sizes) {
+    const { manifest, outputs: all } = /** @type {import("./findings.js").Inspected} */ (inspected);
     const ort = await onnxRuntime();
-    const all = graph.output_names;
-    const constant = all.filter((output) => !graph.varies(output));
-    // A buffer copy is not recorded: its output is stale in all frames but the first.
-    const isStale = (output) => {
-      const { op_type, input } = graph.producers.get(output) ?? {};
-      return graph.varies(output) && (!op_type || isCopy(op_type, input.length, true));
-    };
+    const constant = all.filter(({ varies }) => !varies).map((output) => output.name);
     const open = (capture) => openSession(ort, device, bytes, name, capture, sizes);
     const isStill = constant.length === all.length;
-    const captured = isStill || all.some(isStale) ? null : await open(true);
+    // A buffer copy is not recorded: its output is stale in all frames but the first.
+    const isStale = all.some(({ varies, isCopied }) => varies && isCopied);
+    const captured = isStill || isStale ? null : await open(true);
     const plain = captured && !constant.length ? null : await open(false);
     if ((await ort.env.webgpu.device) !== device) {
       throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });

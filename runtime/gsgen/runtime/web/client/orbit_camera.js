@@ -28,8 +28,8 @@ export class OrbitCamera {
   /**
    * @param {{center: number[], reach: number}} extent Centre and half diagonal of the scene.
    * @param {readonly number[]} up
-   * @param {Partial<Orbit> & {view?: number[], limits?: (number | null)[][]}} [home] What is absent shows the whole
-   *     scene. `limits` are the least and most azimuth, elevation and radius.
+   * @param {Partial<Omit<Orbit, "target">> & {target?: (number | null)[], view?: number[],
+   *     limits?: (number | null)[][]}} [home] What is absent shows the whole scene. `limits` are the least and most azimuth, elevation and radius.
    */
   constructor(extent, up, { fieldOfView = 50, limits = [], ...home } = {}) {
     this.up = normalized([...up]);
@@ -43,8 +43,9 @@ export class OrbitCamera {
 
   /** Return to the first position and direction. */
   reset() {
-    const { azimuth = 30, elevation = 20, radius = null, target = this.extent.center, view } = this.home;
-    this.pivot = [...target];
+    const { azimuth = 30, elevation = 20, radius = null, target = [], view } = this.home;
+    this._pivot = this.extent.center.map((middle, axis) => target[axis] ?? middle);
+    this._isCentered = [0, 1, 2].map((axis) => (target[axis] ?? null) === null);
     this._fitted = radius === null;
     this.distance = radius ?? this.extent.reach;
     this._turnTo(azimuth, elevation);
@@ -76,9 +77,26 @@ export class OrbitCamera {
     this._limit();
   }
 
+  /** Take another extent of the scene, whose middle the camera looks at unless it was moved. */
+  fit(extent) {
+    this.extent = extent;
+    this._pivot = this._pivot.map((part, axis) => (this._isCentered[axis] ? extent.center[axis] : part));
+  }
+
+  /** The point that the camera looks at. */
+  get pivot() {
+    return this._pivot;
+  }
+
+  set pivot(point) {
+    this._pivot = point;
+    this._isCentered = [false, false, false];
+  }
+
   /** Take the place of another camera, within the own limits. @param {OrbitCamera} other */
   following(other) {
-    [this.turn, this.pivot, this.distance, this._fitted] = [other.turn, other.pivot, other.distance, other._fitted];
+    [this.turn, this.distance, this._fitted] = [other.turn, other.distance, other._fitted];
+    [this._pivot, this._isCentered] = [other._pivot, other._isCentered];
     this._limit();
     return this;
   }

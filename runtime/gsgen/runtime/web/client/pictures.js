@@ -3,7 +3,7 @@
  * shape of the input, resampled by a triangle filter, over the input's background.
  */
 
-import { downloadBlob } from "./download.js";
+import { download } from "./download.js";
 import { failing, GsgenError } from "./errors.js";
 
 /**
@@ -60,7 +60,7 @@ export function fittedPicture({ data, width, height }, [rows, columns], { backgr
 /** Return the pixels of a picture, upright. @param {Blob | string} source A file or an address. */
 async function pixelsOf(source) {
   const name = source instanceof File ? source.name : String(source);
-  const blob = source instanceof Blob ? source : await downloadBlob(source, () => {});
+  const blob = source instanceof Blob ? source : new Blob([await download(source)]);
   const options = /** @type {const} */ ({ premultiplyAlpha: "none", colorSpaceConversion: "none" });
   const bitmap = await createImageBitmap(blob, options).catch(() =>
     failing(name)("is no picture that this browser reads", "Save it as PNG or JPEG."),

@@ -11,7 +11,7 @@ import { readBuffer, storageBuffer, uniformBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { checkInputs, inputsAt } from "./key_frames.js";
 import { ModelSession } from "./model_session.js";
-import { sourceFile } from "./source_files.js";
+import { download } from "./download.js";
 import { UniformWriter } from "./uniforms.js";
 
 const PIXEL = 16; // bytes
@@ -46,25 +46,26 @@ export function tilesAlong(length, size, overlap) {
 /** A post-process model, with a session for images of the last size. */
 class PostProcess {
   static async open(kernels, /** @type {Post} */ { address, where, inputs }, target, signal) {
-    const bytes = new Uint8Array(await sourceFile(address).bytes(() => {}, signal));
+    const bytes = new Uint8Array(await download(address, undefined, signal));
     const inspected = inspectedModel(bytes, where, target, "post-process");
     checkInputs(inputs, inspected.manifest, where);
-    if (inspected.subject.graph.inputs.some(({ dtype }) => dtype === "float16") && !kernels.device.features.has("shader-f16")) {
+    if (inspected.inputs.some(({ dtype }) => dtype === "float16") && !kernels.device.features.has("shader-f16")) {
       failing(where)("computes in float16, which this graphics device does not", "Export it with --dtype float32.");
     }
     return new PostProcess(kernels, bytes, inspected, inputs, where);
   }
 
-  constructor(kernels, bytes, { subject, manifest }, values, where) {
+  constructor(kernels, bytes, inspected, values, where) {
+    const { manifest } = inspected;
     this._kernels = kernels;
     this._bytes = bytes;
-    this._subject = subject;
+    this._inspected = inspected;
     this._manifest = manifest;
     this._values = values;
     this._where = where;
     this._image = manifest.inputs.find(({ role }) => role === "image").name;
     this.inputs = manifest.inputs.filter(({ name }) => name !== this._image);
-    this._dims = subject.graph.inputs.find(({ name }) => name === this._image).dims;
+    this._dims = inspected.inputs.find(({ name }) => name === this._image).dims;
     this._size = "";
     /** @type {ModelSession | null} */
     this._session = null;
@@ -79,7 +80,7 @@ class PostProcess {
     if (size === this._size) return;
     this.destroy();
     const sizes = Object.fromEntries([height, width].flatMap((side, i) => (Number.isInteger(sides[i]) ? [] : [[sides[i], side]])));
-    this._session = await ModelSession.open(kernels, this._bytes, this._subject, this._manifest, this._where, sizes);
+    this._session = await ModelSession.open(kernels, this._bytes, this._inspected, this._where, sizes);
     this._size = size;
     const { device, plans } = kernels;
     const [, , rows, columns] = this._session.inputs.shape(this._image);

@@ -8,12 +8,11 @@ export class Presenter {
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {HTMLCanvasElement | OffscreenCanvas} canvas
-   * @param {GPURenderPipeline} pipeline The kernels' own.
    */
-  constructor(kernels, canvas, pipeline) {
+  constructor(kernels, canvas) {
     this.device = kernels.device;
     this.plans = kernels.plans;
-    this._pipeline = pipeline;
+    this._pipeline = kernels.presenting;
     this._context = /** @type {GPUCanvasContext} */ (canvas.getContext("webgpu"));
     const { device } = this;
     const format = navigator.gpu.getPreferredCanvasFormat();

@@ -107,10 +107,10 @@ export class Renderer {
     const [panorama, deep, pairs] = [kind === "panorama", this._deep, this._pairs];
     const weighted = this._sets.some(({ buffers }) => buffers.weighted);
     const shape = { outputs, panorama, deep, weighted, layers, width, height, pairs };
-    const key = JSON.stringify([shape, this._version]);
+    const pages = this._sets.flatMap((set) => set.buffers.pages);
+    const key = JSON.stringify([shape, this._version, pages.length]);
     if (key === this._key) return;
     this._key = "";
-    const pages = this._sets.flatMap((set) => set.buffers.pages);
     await this.host.configure({ ...shape, pages });
     this._key = key;
   }

@@ -1,6 +1,7 @@
 /** Turns the numbers of splat files into the contract's packed rows, batch by batch. */
 
 import { failing } from "./errors.js";
+import { extentOf } from "./framing.js";
 import { IDENTITY } from "./matrices.js";
 
 export const MOST_COEFFICIENTS = 16; // degree 3: the page draws no more
@@ -8,6 +9,7 @@ export const SH_C0 = 0.5 / Math.sqrt(Math.PI);
 const BATCH_ROWS = 1 << 14;
 const FEWEST_BATCH_ROWS = 256;
 const BATCHES = 16; // of a small file, whose first rows are drawn before the others arrive
+const SAMPLED_ROWS = 1 << 14; // of a part that is not whole, by which it is framed
 const LARGEST_LOG_SCALE = 88; // whose exponential is a float32
 
 const { fround } = Math;
@@ -58,7 +60,9 @@ export function setFromLargest(index, a, b, c) {
  * @property {(facts: PartFacts) => number} begin Announces a part, and returns its number.
  * @property {(part: number, first: number, rows: Float32Array | null, appearance: Float32Array) =>
  *     Promise<void> | void} write Takes rows from one on; without rows, their appearance alone.
- * @property {(part: number, count: number, dropped: number) => void} end
+ * @property {(part: number, extent: import("./framing.js").Extent) => void} grow Tells how far the
+ *     rows so far extend, each time they have doubled.
+ * @property {(part: number, count: number, extent: import("./framing.js").Extent) => void} end
  */
 /**
  * @typedef {object} PartFacts
@@ -95,8 +99,9 @@ export class RowWriter {
       transform: facts.transform ?? IDENTITY,
       up: facts.up ?? null,
     });
+    this._placed = new Float32Array(10 * count); // what framing looks at
+    this._told = 0; // rows when their extent was last told
     this.sent = 0;
-    this._seen = 0;
     this._renew();
   }
 
@@ -152,7 +157,6 @@ export class RowWriter {
     let sum = 0;
     const first = this.stride * this.used;
     for (let i = 0; i < this.channels; i++) sum += this.appearance[first + i];
-    this._seen += 1;
     if (!this.isValid || !Number.isFinite(sum)) {
       this.appearance.fill(0, first, first + this.channels);
       return -1;
@@ -165,9 +169,24 @@ export class RowWriter {
   async flush() {
     const { rows, appearance, used, sent } = this;
     if (!used) return;
+    const own = rows.subarray(0, 10 * used);
+    this._placed.set(own, 10 * sent);
     this.sent += used;
     this._renew();
-    await this._sink.write(this._part, sent, rows.subarray(0, 10 * used), appearance.subarray(0, this.stride * used));
+    await this._sink.write(this._part, sent, own, appearance.subarray(0, this.stride * used));
+    if (this.sent < 2 * this._told || this.sent === this.count) return;
+    this._told = this.sent;
+    this._sink.grow(this._part, extentOf(this._sample()));
+  }
+
+  /** Return some of the rows that were sent. */
+  _sample() {
+    const step = Math.ceil(this.sent / SAMPLED_ROWS);
+    const count = Math.floor(this.sent / step);
+    if (step === 1) return { rows: this._placed, count };
+    const rows = new Float32Array(10 * count);
+    for (let row = 0; row < count; row++) rows.set(this._placed.subarray(10 * step * row, 10 * step * row + 10), 10 * row);
+    return { rows, count };
   }
 
   /** Send the appearance of rows that were sent before. */
@@ -178,6 +197,6 @@ export class RowWriter {
   /** Say that all rows were sent. */
   end() {
     if (!this.sent) failing(this.name, "Is it the right file?")("has no row that can be drawn");
-    this._sink.end(this._part, this.sent, this._seen - this.sent);
+    this._sink.end(this._part, this.sent, extentOf({ rows: this._placed, count: this.sent }));
   }
 }

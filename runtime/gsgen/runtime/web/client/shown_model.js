@@ -39,17 +39,15 @@ export class ShownModel {
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {import("./model.js").Model} model
-   * @param {GPURenderPipeline} pipeline What shows images on canvases.
    * @param {import("./source_files.js").SourceFile} file
    * @param {() => void} onStale Called when a frame has to be drawn again.
    */
-  constructor(kernels, model, pipeline, file, onStale) {
+  constructor(kernels, model, file, onStale) {
     this.kernels = kernels;
     /** @type {"webgpu" | "webgl2"} */
     this.renderedBy = "webgpu";
     this.model = model;
     this.file = file;
-    this._pipeline = pipeline;
     this.renderer = new Renderer(kernels, { onStale });
     this.renderer.setScene(model.sets);
     this.playback = model.time ? new Playback(model.time) : null;
@@ -163,7 +161,7 @@ export class ShownModel {
 
   /** Return what shows frames on a canvas. @param {HTMLCanvasElement | OffscreenCanvas} canvas */
   presenterOf(canvas) {
-    return new Presenter(this.kernels, canvas, this._pipeline);
+    return new Presenter(this.kernels, canvas);
   }
 
   /** Show the last frame on a canvas. @param {Presenter} presenter @param {Look} look */
@@ -180,6 +178,7 @@ export class ShownModel {
       if (this.isDestroyed) return;
       this.isStale = false;
     }
+    this.orbit.fit(model.extent);
     const [red, green, blue, alpha] = look.background;
     const sRgb = [red, green, blue];
     const light = model.buffers.isLinear ? sRgb.map(linearOf) : sRgb;

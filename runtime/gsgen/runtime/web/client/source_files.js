@@ -1,6 +1,6 @@
-/** The files that elements show: each address is downloaded once, and kept while an element has it. */
+/** The files that elements show, each the same for all that have its address. */
 
-import { downloadBlob, inlined } from "./download.js";
+import { inlined } from "./download.js";
 import { failing } from "./errors.js";
 
 /** Types that a `<source>` may name. */
@@ -28,55 +28,28 @@ export function candidatesOf(host) {
     .map((element) => ({ source: element.getAttribute("src") ?? "", element }));
 }
 
-/** The bytes of an address. */
+/** A file that pages show: an address, or bytes. */
 export class SourceFile {
-  /** @param {string} address @param {Blob | null} [blob] The bytes, if they are known. */
-  constructor(address, blob = null) {
+  /** @param {string} address @param {ArrayBuffer | Uint8Array | null} [bytes] If they are known. */
+  constructor(address, bytes = null) {
     this.address = address;
-    this._blob = blob;
-    /** @type {Promise<Blob> | null} */
-    this._loading = null;
-    this._stop = () => {};
-    /** @type {Set<(loaded: number, total: number) => void>} */
-    this._readers = new Set();
+    this._bytes = bytes;
+    this.wasRead = false;
+    /** Who reads it, by kernels and target. @type {WeakMap<object, Map<any, any>>} */
+    this.readings = new WeakMap();
   }
 
   /**
-   * Return the bytes; the first call downloads them.
-   * @param {(loaded: number, total: number) => void} onProgress
-   * @param {AbortSignal} signal The download ends when all who wait for it have left.
+   * Return what reads it, at first from the server, then from the browser's cache if that has it.
+   * @param {string} name For messages.
+   * @param {string} [target] Whose limits rules of generators check.
+   * @returns {import("./splat_files.js").Request}
    */
-  async bytes(onProgress, signal) {
-    if (this.address.startsWith("#")) return inlined(this.address);
-    if (this._blob) return this._blob.arrayBuffer();
-    const leave = () => {
-      this._readers.delete(onProgress);
-      if (!this._readers.size) this._stop();
-    };
-    this._readers.add(onProgress);
-    signal.addEventListener("abort", leave, { once: true });
-    const loading = (this._loading ??= this._download());
-    try {
-      this._blob = await loading;
-      signal.throwIfAborted();
-      return await this._blob.arrayBuffer();
-    } catch (error) {
-      if (this._loading === loading) this._loading = null; // the next call tries again
-      throw error;
-    } finally {
-      signal.removeEventListener("abort", leave);
-      this._readers.delete(onProgress);
-    }
-  }
-
-  _download() {
-    const stop = new AbortController();
-    this._stop = () => {
-      stop.abort();
-      this._loading = null;
-    };
-    const tell = (loaded, total) => this._readers.forEach((onProgress) => onProgress(loaded, total));
-    return downloadBlob(this.address, tell, stop.signal);
+  request(name, target) {
+    const { address } = this;
+    if (this._bytes) return { name, target, bytes: this._bytes };
+    if (address.startsWith("#")) return { name, target, bytes: inlined(address) };
+    return { name, target, address, cache: this.wasRead ? "force-cache" : "default" };
   }
 }
 
@@ -85,7 +58,7 @@ const files = new Map();
 
 /** Return the file of an address, which is the same for all elements, or of a JSON object's text. */
 export function sourceFile(source) {
-  if (source.startsWith("{")) return new SourceFile(document.baseURI, new Blob([source]));
+  if (source.startsWith("{")) return new SourceFile(document.baseURI, new TextEncoder().encode(source));
   const isInlined = source.startsWith("#");
   if (!isInlined && !URL.canParse(source, document.baseURI)) failing(source)("is no address");
   const address = isInlined ? source : new URL(source, document.baseURI).href;

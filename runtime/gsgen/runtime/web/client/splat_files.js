@@ -4,6 +4,7 @@ import { ByteSource } from "./byte_source.js";
 import { openSource } from "./download.js";
 import { failing } from "./errors.js";
 import { RECOGNITION_BYTES, archiveKind, contentKind } from "./file_kinds.js";
+import { extentOf } from "./framing.js";
 import { looksLikeKsplat } from "./ksplat.js";
 import { looksLikeSplat } from "./splat_rows.js";
 
@@ -36,7 +37,17 @@ const READER_OF_KIND = {
 
 /**
  * What is to be read: an address, or bytes; `name` is for messages.
- * @typedef {{name: string, address?: string, bytes?: ArrayBuffer | Uint8Array, cache?: RequestCache}} Request
+ * @typedef {{name: string, address?: string, bytes?: ArrayBuffer | Uint8Array, cache?: RequestCache, target?: string,
+ *     rows?: Float32Array, count?: number}} Request
+ *     Of generators, `target` is whose limits and quirks rules check. Of rows, the extent is told.
+ */
+/**
+ * What a file is; the bytes of what are no splats, and what rules say of a generator.
+ * @typedef {object} FileContent
+ * @property {"splats" | "onnx" | "tileset" | "scene" | "rows"} kind
+ * @property {Uint8Array} [bytes]
+ * @property {import("./findings.js").Inspected} [inspected]
+ * @property {import("./framing.js").Extent} [extent]
  */
 
 /**
@@ -45,9 +56,10 @@ const READER_OF_KIND = {
  * @param {import("./row_writer.js").Sink} sink
  * @param {(loaded: number, total: number) => void} [onProgress]
  * @param {AbortSignal} [signal]
- * @returns {Promise<{kind: "splats" | "onnx" | "tileset" | "scene", bytes?: Uint8Array}>}
+ * @returns {Promise<FileContent>}
  */
-export async function readRequest({ name, address, bytes, cache }, sink, onProgress, signal) {
+export async function readRequest({ name, address, bytes, cache, target, rows, count = 0 }, sink, onProgress, signal) {
+  if (rows) return { kind: "rows", extent: extentOf({ rows, count }) };
   const source = bytes ? ByteSource.of(bytes, name) : await openSource(address, name, onProgress, signal, cache);
   const beside = async (file) => {
     const folder = new URL(".", /^https?:|^file:/.test(address ?? "") ? address : "none:/");
@@ -56,7 +68,10 @@ export async function readRequest({ name, address, bytes, cache }, sink, onProgr
     if (!isInside) failing(name, "Pack the folder into a ZIP archive, or show it by its address.")(`refers to the file ${file}, which is not beside it`);
     return (await openSource(String(place), file, undefined, signal)).rest();
   };
-  return readFile(source, { sink, beside });
+  const content = await readFile(source, { sink, beside });
+  if (content.kind !== "onnx" || !content.bytes) return content;
+  const { inspectedModel } = await import("./findings.js");
+  return { ...content, inspected: inspectedModel(content.bytes, name, target) };
 }
 
 /** Return the first bytes of a file as a text with a character for each, as `file_kinds.js` reads them. */
@@ -75,7 +90,7 @@ function recognised(head, size) {
   return { kind, reader: marked ?? unmarked };
 }
 
-/** @returns {Promise<{kind: "splats" | "onnx" | "tileset" | "scene", bytes?: Uint8Array}>} */
+/** @returns {Promise<FileContent>} */
 async function readFile(source, context) {
   for (let depth = 0; ; depth++) {
     const { name } = source;
@@ -124,32 +139,4 @@ async function fileOfZip(files, kind, name, depth) {
   if (readable.length > 1) failing(name, "Unpack it, and name one of them.")(`holds ${readable.length} files of splats: ${names}`);
   if (!readable.length) failing(name, kind.hint || READABLE)(`is ${kind.title}; expected a file of splats in it`);
   return readable[0].open();
-}
-
-/**
- * Return the splats of a file of one part, from its bytes.
- * @param {ArrayBuffer} data
- * @returns {Promise<import("./splat_buffers.js").Splats>}
- */
-export async function readSplats(data, name) {
-  /** @type {any} */
-  let splats = null;
-  const sink = {
-    begin(facts) {
-      if (splats) failing(name, "Draw it by <gsgen-model> in a browser with WebGPU.")("holds several parts, expected one");
-      splats = { ...facts, rows: new Float32Array(10 * facts.count), appearance: new Float32Array(facts.channels * facts.count) };
-      return 0;
-    },
-    write(_, first, rows, appearance) {
-      const { channels } = splats;
-      const stride = 4 * Math.ceil(channels / 4);
-      if (rows) splats.rows.set(rows, 10 * first);
-      for (let row = 0; row < appearance.length / stride; row++) {
-        splats.appearance.set(appearance.subarray(row * stride, row * stride + channels), channels * (first + row));
-      }
-    },
-    end: (_, count) => (splats.count = count),
-  };
-  await readRequest({ name, bytes: data }, sink);
-  return splats;
 }

@@ -4,6 +4,7 @@
  * A stage is a model as far as an element can tell; all Gaussians of its models are sorted as one.
  */
 
+import { download } from "./download.js";
 import { GsgenError } from "./errors.js";
 import { checkInputs, inputsAt, isKeyed, valueAt } from "./key_frames.js";
 import { IDENTITY, composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
@@ -61,7 +62,6 @@ export class Stage {
       scene.meshes = [];
     }
     const base = new URL(options.source ?? name, globalThis.document.baseURI);
-    const signal = options.signal ?? new AbortController().signal;
     const addressOf = ({ path, where }) => {
       if (path.startsWith("#")) return path;
       if (!URL.canParse(path, base)) throw new GsgenError("is no address", { where: `${where}.path` });
@@ -69,17 +69,18 @@ export class Stage {
     };
     const posts = scene.posts.map((post) => ({ ...post, address: addressOf(post) }));
     const fileOf = async (part) => {
-      const file = sourceFile(addressOf(part));
-      return { file, data: await file.bytes(() => {}, signal) };
+      return sourceFile(addressOf(part));
     };
     const openingMeshes = Promise.all(scene.meshes.map(async (part) => {
-      const [{ openMesh }, { file, data }] = await Promise.all([import("./stage_meshes.js"), fileOf(part)]);
-      return openMesh(part, data, file.address.startsWith("#") ? base.href : file.address, warn);
+      const [{ openMesh }, { address }] = await Promise.all([import("./stage_meshes.js"), fileOf(part)]);
+      const data = await download(address, undefined, options.signal);
+      return openMesh(part, data, address.startsWith("#") ? base.href : address, warn);
     }));
     openingMeshes.catch(() => {}); // who waits for the stage gets its error
     const opening = scene.models.map(async (part) => {
-      const { file, data } = await fileOf(part);
-      const model = await openModel(kernels, data, part.path, { ...options, source: file.address });
+      const file = await fileOf(part);
+      const own = { ...options, source: file.address, onProgress: undefined, onBegin: undefined };
+      const model = await openModel(kernels, file, part.path, own);
       if (model instanceof Stage) {
         model.destroy();
         throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });

@@ -7,7 +7,7 @@
 import { eyeOf } from "./camera.js";
 import { download, parsedJson } from "./download.js";
 import { failing } from "./errors.js";
-import { readInBackground } from "./file_reader.js";
+import { readParts } from "./file_reader.js";
 import { firstSubtree, subtreeRoot } from "./implicit_tiles.js";
 import {
   IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
@@ -77,28 +77,6 @@ class Tile {
 /** Return the root tile of a tileset. */
 function rootOf({ root, schema }, parent, address) {
   return new Tile({ ...root, schema }, parent, address);
-}
-
-/** Return the sets of splats in the content of a tile, or the bytes of another tileset. */
-async function readParts(address, signal) {
-  /** @type {any[]} */
-  const parts = [];
-  const sink = {
-    begin(facts) {
-      const [rows, stride] = [new Float32Array(10 * facts.count), 4 * Math.ceil(facts.channels / 4)];
-      const transform = composed(TILE_FROM_FILE, facts.transform);
-      return parts.push({ ...facts, transform, stride, rows, appearance: new Float32Array(stride * facts.count) }) - 1;
-    },
-    write(part, first, rows, appearance) {
-      const { stride, ...own } = parts[part];
-      if (rows) own.rows.set(rows, 10 * first);
-      own.appearance.set(appearance, stride * first);
-    },
-    end: (part, count) => (parts[part].count = count),
-  };
-  const { kind, bytes } = await readInBackground({ name: address, address }, sink, undefined, signal);
-  if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
-  return { bytes, parts };
 }
 
 /** A tileset in a page. */
@@ -184,7 +162,8 @@ export class TilesetModel {
           const data = await download(address, undefined, signal);
           return new Tile(subtreeRoot(data, subtree, schema, address), tile, base);
         }
-        const { bytes, parts } = await readParts(address, signal);
+        const { kind, bytes, parts } = await readParts({ name: address, address }, undefined, signal);
+        if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
         return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
       });
       const loaded = (await Promise.all(contents)).flat();
@@ -212,12 +191,12 @@ export class TilesetModel {
     if (this._room() < parts.length) return;
     while (this._free.length < parts.length) this._evict();
     tile.slots = parts.map(([set, first]) => {
-      const { channels, stride, antialias } = set;
+      const { channels, antialias } = set;
       const slot = this._free.pop();
       const live = Math.min(rows, set.count - first);
       const part = (numbers, width) => numbers.subarray(first * width, (first + live) * width);
-      slot.buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, stride), stride, slot.buffers.stride));
-      const transform = composed(tile.frame, set.transform);
+      slot.buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, channels), channels, slot.buffers.stride));
+      const transform = composed(tile.frame, composed(TILE_FROM_FILE, set.transform));
       return Object.assign(slot, { transform, live, antialias, degree: degreeOf(channels, "sh") });
     });
     this._held.add(tile);

@@ -1,12 +1,14 @@
 /** Models in browsers without WebGPU: three.js sorts and draws them by WebGL 2, for all elements of a page. */
 
 import { GsgenError, failing } from "./errors.js";
-import { framesOf } from "./frames.js";
+import { extentInBackground } from "./file_reader.js";
+import { mergedExtent } from "./framing.js";
+import { generatorFrames } from "./frames.js";
 import { SURVEY_CAMERA, surveyedValues } from "./generator_inputs.js";
 import { IDENTITY, linearPart, times } from "./matrices.js";
 import { memoryDevice, numbersOf } from "./memory_device.js";
 import { arraysOf, mergeSets } from "./merged_sets.js";
-import { extentOf, mergedExtent, openModel } from "./model.js";
+import { openModel } from "./model.js";
 import { inTurns, once } from "./once.js";
 import { OrbitCamera } from "./orbit_camera.js";
 import { Playback } from "./playback.js";
@@ -29,37 +31,37 @@ const sharedThree = once(
     const renderer = new modules.three.WebGPURenderer({ canvas, context, forceWebGL: true, alpha: true });
     await renderer.init();
     const maxTextureDimension2D = context.getParameter(context.MAX_TEXTURE_SIZE);
-    return { ...modules, canvas, renderer, lost, device: memoryDevice({ maxTextureDimension2D }), inTurn: inTurns() };
+    const [device, plans] = [memoryDevice({ maxTextureDimension2D }), await sharedPlans()];
+    const openGenerator = (content, name) => FramesModel.open({ device, plans }, content, name);
+    const kernels = /** @type {any} */ ({ device, plans, openGenerator });
+    return { ...modules, canvas, renderer, lost, device, kernels, inTurn: inTurns() };
   },
   ({ lost }) => lost,
 );
 
 /**
- * Return three.js as what draws the elements of a page.
+ * Show a file; see `show` of backend.js.
  * @param {GsgenError} missing Why WebGPU does not.
- * @returns {Promise<import("./backend.js").Backend>}
+ * @param {import("./source_files.js").SourceFile} file
+ * @param {import("./backend.js").ShowOptions} options
  */
-export async function webGl2(missing) {
+export async function showByThree(missing, file, name, options) {
   let shared;
   try {
     shared = await sharedThree();
   } catch (error) {
     throw new GsgenError(`${missing.message}, and ${error.message}`, { hint: `${missing.hint} ${error.hint ?? ""}`.trim() });
   }
-  const { device } = shared;
-  const plans = await sharedPlans();
-  const openGenerator = (bytes, name) => FramesModel.open({ device, plans }, bytes, name);
-  const kernels = /** @type {any} */ ({ device, plans, openGenerator });
-  const show = async (bytes, name, file, options) => {
-    return new ModelOfThree(shared, await openModel(kernels, bytes, name, options), file);
-  };
-  return { note: " without WebGPU", lost: shared.lost, show };
+  shared.lost.then(options.onLost);
+  const model = await openModel(shared.kernels, file, name, { ...options, onBegin: undefined });
+  return new ModelOfThree(shared, model, file);
 }
 
 /** A generator that runs by WebAssembly. */
 class FramesModel {
-  static async open(kernels, bytes, name) {
-    const frames = await framesOf(bytes, name, { provider: "wasm" });
+  /** @param {import("./splat_files.js").FileContent} content */
+  static async open(kernels, content, name) {
+    const frames = await generatorFrames(content, name, "wasm");
     if (frames.inputs.some(({ role }) => role === "image")) {
       frames.destroy();
       failing(name, "Take a browser with WebGPU.")("is computed from pictures, which needs WebGPU");
@@ -101,7 +103,7 @@ class FramesModel {
     const boxes = [];
     for (const values of surveyedValues(this._frames.time)) {
       await this.update(values, SURVEY_CAMERA);
-      boxes.push(extentOf({ rows: numbersOf(this.buffers.pages[0].rows), count: this.buffers.count }));
+      boxes.push(await extentInBackground({ rows: numbersOf(this.buffers.pages[0].rows), count: this.buffers.count }));
     }
     const extent = mergedExtent(boxes);
     this.extent = { ...extent, center: times(linearPart(this._frames.transform), extent.center) }; // which mirrors axes, at most
