@@ -90,6 +90,27 @@ class GatedBytes(bytes):
             yield self[first:]
 
 
+CUT = 0
+"""In place of a status: half of the content is sent."""
+
+
+class FlakyBytes(bytes):
+    """Content that a server refuses at first.
+
+    Attributes:
+        failures: The statuses of the next answers, or ``CUT``; later ones are whole.
+    """
+
+    failures: list[int]
+
+    @classmethod
+    def of(cls, content: bytes, failures: Sequence[int]) -> "FlakyBytes":
+        """Return content that is served after some failures."""
+        flaky = cls(content)
+        flaky.failures = list(failures)
+        return flaky
+
+
 class Handler(SimpleHTTPRequestHandler):
     """Serves folders by the first part of the path, and bytes by their whole path.
 
@@ -119,10 +140,14 @@ class Handler(SimpleHTTPRequestHandler):
             super().do_GET()
             return
         body = self._contents[path]
-        self.send_response(200)
+        failures = body.failures if isinstance(body, FlakyBytes) else []
+        status = failures.pop(0) if failures else 200
+        self.send_response(status or 200)
         self.send_header("Content-Type", self.guess_type(path))
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
+        if status == CUT:
+            body = body[: len(body) // 2]
         for part in body.parts() if isinstance(body, GatedBytes) else [body]:
             self.wfile.write(part)
 

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from support.browser import GatedBytes
 from support.splat_files import ksplat
+from support.tiles.builds import SMALL, build
+from support.tiles.level_scenes import knot
 from support.web.pages import WebSite, float32_result
 
 pytestmark = pytest.mark.slow
@@ -108,3 +111,25 @@ def whole_picture(page: Any) -> tuple[np.ndarray, Camera]:
     lens = {name: camera[name] for name in ("fx", "fy", "cx", "cy", "width", "height", "near")}
     view = np.reshape(camera["view"], (4, 4))
     return numbers.reshape(72, 96, 4), Camera(view=view, **lens)
+
+
+def test_the_first_picture_of_a_tileset_needs_few_tiles(site: WebSite, tmp_path: Path) -> None:
+    """The coarsest one; the picture before it stays until it is there."""
+    write_ply(tmp_path / "knot.ply", knot(12_000, degree=1))
+    build([tmp_path / "knot.ply"], tmp_path / "tiles", replace(SMALL, leaf=900))
+    finer, total = [], 0
+    for path in filter(Path.is_file, (tmp_path / "tiles").rglob("*")):
+        name = path.relative_to(tmp_path / "tiles").as_posix()
+        content = path.read_bytes()
+        total += len(content)
+        if path.suffix == ".glb" and path.parent.name != "0":
+            content = GatedBytes.of(content, 0)
+            finer.append(content)
+        site.contents[f"/few/{name}"] = content
+    page = element_page(site, "/few/tileset.json")
+    assert wait_for_light(page) > 0.02
+    sent = total - sum(len(content) - content.sent for content in finer)
+    assert len(finer) > 3
+    assert sent <= 0.25 * total
+    for content in finer:
+        content.gate.set()

@@ -24,6 +24,7 @@ from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import NetworkFaults
 from gsgen.tiles.stores.opening import open_store
+from support.browser import CUT, FlakyBytes
 from support.tiles import foreign_tiles as foreign
 from support.tiles.builds import SMALL, build
 from support.tiles.level_scenes import knot
@@ -127,6 +128,42 @@ def test_damaged_tile_is_reported_and_others_are_drawn(
     [frame] = result["frames"]
     assert frame["live"] > 0
     assert uri not in frame["drawn"]
+
+
+_FAULTS = {
+    # The first answers of a server for a tile, and how often it is asked.
+    "busy": ([503], 2),
+    "twice busy": ([503, 503], 3),
+    "three faults": ([500, 502, 504], 4),
+    "too many requests": ([429], 2),
+    "a timeout": ([408], 2),
+    "cut off": ([CUT], 2),
+    "busy, then cut off": ([503, CUT], 3),
+    "busy for long": ([503] * 9, 4),
+    "missing": ([404] * 9, 1),
+    "gone": ([410] * 9, 1),
+    "forbidden": ([403] * 9, 1),
+}
+
+
+def test_a_tile_is_asked_for_again_where_that_may_help(folder: Path, site: WebSite) -> None:
+    """After faults of the network and the server, four times at most; what is left is reported."""
+    files = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+    uri = max(expected_sets(folder, CAMERAS[0]))
+    for number, (name, (failures, attempts)) in enumerate(_FAULTS.items()):
+        base = f"/flaky/{number}"
+        site.contents.update({f"{base}/{file}": content for file, content in files.items()})
+        site.contents[f"{base}/{uri}"] = FlakyBytes.of(files[uri], failures)
+        site.requests.clear()
+        result = frames_of(site, site.address + base, CAMERAS[:1])
+        assert site.requests.count(f"{base}/{uri}") == attempts, name
+        [frame] = result["frames"]
+        assert (uri in frame["drawn"]) is (attempts == len(failures) + 1), name
+        assert len(result["failures"]) == (uri not in frame["drawn"]), name
 
 
 def test_a_tile_may_hold_another_tileset(folder: Path, site: WebSite, tmp_path: Path) -> None:

@@ -234,5 +234,5 @@ export async function openModel(kernels, source, name, options = { onChange() {}
     return Stage.open(await kernels, parsedJson(bytes), name, options);
   }
   const { TilesetModel } = await import("./tileset.js");
-  return new TilesetModel(await kernels, parsedJson(bytes), name, options);
+  return TilesetModel.open(await kernels, parsedJson(bytes), name, options);
 }

@@ -12,10 +12,13 @@ import { firstSubtree, subtreeRoot } from "./implicit_tiles.js";
 import {
   IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
 } from "./matrices.js";
+import { OrbitCamera } from "./orbit_camera.js";
 import { SplatBuffers, degreeOf, paddedRows } from "./splat_buffers.js";
 
 const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
 const MOST_REQUESTS = 6; // at once
+const MOST_ATTEMPTS = 4; // of a request that fails by a fault of the network or the server
+const FIRST_PAUSE = 500; // milliseconds until the second attempt; doubled after each
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const MOST_DEGREE = 3;
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
@@ -49,6 +52,7 @@ class Tile {
     this.slots = null;
     this.needed = 1; // slots, as far as known
     this.isRequested = false; // … or failed
+    this.hasFailed = false;
     this.seen = 0; // the last frame whose camera met it
   }
 
@@ -79,8 +83,35 @@ function rootOf({ root, schema }, parent, address) {
   return new Tile({ ...root, schema }, parent, address);
 }
 
+/** Return the result of a task, which is tried again after faults that may pass. */
+async function persistently(task, signal) {
+  for (let attempt = 1; ; attempt++) {
+    try {
+      return await task();
+    } catch (error) {
+      if (!error.isTransient || attempt === MOST_ATTEMPTS) throw error;
+    }
+    await new Promise((resolve) => setTimeout(resolve, FIRST_PAUSE * 2 ** (attempt - 1)));
+    signal.throwIfAborted();
+  }
+}
+
 /** A tileset in a page. */
 export class TilesetModel {
+  /** Open a tileset, and wait for its coarsest tiles; see the constructor. */
+  static async open(kernels, tileset, name, options) {
+    const model = new TilesetModel(kernels, tileset, name, options);
+    const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
+    await model.update({}, camera);
+    while (model.loading && !model._held.size && !options.signal?.aborted) {
+      await Promise.race(model._requests);
+      await model.update({}, camera);
+    }
+    if (options.signal?.aborted) model.destroy();
+    options.signal?.throwIfAborted();
+    return model;
+  }
+
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {any} tileset The parsed tileset.json.
@@ -114,7 +145,8 @@ export class TilesetModel {
     this.buffers = { count: 0, isLinear: false };
     /** @type {Tile[]} */
     this.drawn = [];
-    this.loading = 0;
+    /** @type {Set<Promise<void>>} */
+    this._requests = new Set();
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
@@ -127,9 +159,12 @@ export class TilesetModel {
     this.drawn = this._cut(this._root, camera, wanted) ?? [];
     wanted.sort(([a, errorA], [b, errorB]) => a.level - b.level || errorB - errorA);
     const room = this._room();
+    // The first picture is of coarse tiles: finer ones would take their share of the network.
+    const first = wanted.find(([tile]) => !tile.hasFailed);
+    const deepest = this._held.size ? Infinity : first?.[0].level;
     for (const [tile] of wanted) {
       const isIdle = !tile.slots && !tile.isRequested && this.loading < MOST_REQUESTS;
-      if (isIdle && room >= tile.needed) this._load(tile);
+      if (isIdle && room >= tile.needed && tile.level <= deepest) this._request(tile);
     }
     for (const { buffers } of this.sets) buffers.count = 0;
     for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
@@ -150,12 +185,24 @@ export class TilesetModel {
     return below.every(Boolean) || !tile.uris.length ? loaded : own;
   }
 
+  /** How many tiles are being loaded. */
+  get loading() {
+    return this._requests.size;
+  }
+
+  _request(tile) {
+    tile.isRequested = true;
+    const request = this._load(tile).finally(() => {
+      this._requests.delete(request);
+      if (!this._stop.signal.aborted) this._options.onChange();
+    });
+    this._requests.add(request);
+  }
+
   async _load(tile) {
     const { signal } = this._stop;
-    this.loading += 1;
-    tile.isRequested = true;
     try {
-      const contents = tile.uris.map(async (uri) => {
+      const read = async (uri) => {
         const address = String(new URL(uri, tile.base));
         const { subtree, schema, base } = tile;
         if (subtree) {
@@ -165,7 +212,8 @@ export class TilesetModel {
         const { kind, bytes, parts } = await readParts({ name: address, address }, undefined, signal);
         if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
         return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
-      });
+      };
+      const contents = tile.uris.map((uri) => persistently(() => read(uri), signal));
       const loaded = (await Promise.all(contents)).flat();
       if (signal.aborted) return;
       const roots = loaded.filter((part) => part instanceof Tile);
@@ -174,11 +222,9 @@ export class TilesetModel {
       this._place(tile, loaded.filter((part) => !(part instanceof Tile)));
       tile.isRequested = false;
     } catch (error) {
+      tile.hasFailed = true;
       if (!signal.aborted) this._options.onError(error);
-    } finally {
-      this.loading -= 1;
     }
-    this._options.onChange();
   }
 
   /** Copy splats into slots; if tiles that the camera needs hold them all, later. */
