@@ -3,14 +3,22 @@
 import json
 import random
 import re
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
 
+from gsgen.conformance.fixtures.valid.scene_inputs import posed_picture_model
 from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
+from gsgen.runtime.playback.picture_inputs import picture_tracks
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
+from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.runtime.web.pages import client_file
 from support.rendering.splat_scenes import cloud, turned
 from support.web.pages import CLIENT, WebSite, unpacked
@@ -197,3 +205,96 @@ def test_a_plan_that_no_guard_allows_is_an_error(site: WebSite) -> None:
     with pytest.raises(Exception, match="no frame plan draws color at 70000×70000"):
         site.call("choose", {"outputs": ["color"], "panorama": False, "deep": False, "weighted": False},
                   {"width": 70_000, "height": 70_000})  # fmt: skip
+
+
+_PICTURE_CAMERAS = """async ([text, names, pictures, size]) => {
+  const { pictureCameras } = await import("/client/pictures.js");
+  const address = URL.createObjectURL(new Blob([text]));
+  try {
+    return await pictureCameras(address, names, pictures, size);
+  } catch (error) {
+    return { error: error.message.replace(address, "FILE"), hint: error.hint };
+  }
+}"""
+
+
+def transforms(rng: np.random.Generator, *, lens: dict[str, Any]) -> dict[str, Any]:
+    """Return a transforms.json of two turned cameras, in another order than the pictures."""
+    frames = []
+    for name in ("images/b.png", "images/a.png"):
+        matrix = np.eye(4)
+        matrix[:3, :3] = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+        matrix[:3, 3] = rng.normal(size=3)
+        frames.append({"file_path": name, "transform_matrix": matrix.tolist()})
+    return {**lens, "frames": frames}
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"camera_angle_x": 0.7},
+        {"camera_angle_x": 0.7, "camera_angle_y": 0.6},
+        {"fl_x": 40.0, "fl_y": 41.0, "cx": 17.0, "cy": 11.5, "w": 36, "h": 24},
+        {"fl_y": 41.0, "w": 18, "h": 12},
+        None,
+    ],
+)
+def test_cameras_of_pictures_are_those_of_python(
+    lens: dict[str, Any] | None, site: WebSite, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    sizes = ((36, 24), (72, 48))
+    files = [tmp_path / name for name in ("a.png", "b.png")]
+    for file, (width, height) in zip(files, sizes, strict=True):
+        Image.fromarray(np.zeros((height, width, 3), np.uint8)).save(file)
+    if lens is None:  # cameras of gsgen, in order
+        cameras = [random_camera(random.Random(number), number) for number in range(2)]
+        scaled = [replace(c.resized(36, 24), kind="pinhole", distortion=None) for c in cameras]
+        document: Any = [json.loads(camera.to_json()) for camera in scaled]
+    else:
+        document = transforms(rng, lens=lens)
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(document), "utf-8")
+    posed_picture_model().write(tmp_path / "model.onnx")
+    with closing(GeneratorSource(tmp_path / "model.onnx")) as source:
+        tracks = picture_tracks([",".join(map(str, files))], str(path), [source])
+        rows, columns = source.shape("image")[2:]
+    expected = {track.input_name: track.values for track in tracks}
+    names = [f"http://host/pictures/{file.name}?version=2" for file in files]
+    pictures = [{"width": width, "height": height} for width, height in sizes]
+    arguments = [path.read_text("utf-8"), names, pictures, [rows, columns]]
+    actual = site.page.evaluate(_PICTURE_CAMERAS, arguments)
+    for role, name in (("image_view", "poses"), ("image_intrinsics", "lenses")):
+        np.testing.assert_allclose(actual[role], expected[name].ravel(), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ("{", "is no JSON"),
+        ('{"frames": [{}, {}], "w": 3, "h": 2, "fl_x": 4}', "without a transform_matrix"),
+        ('{"frames": []}', "has 0 cameras for 2 pictures of other names"),
+        ("[{}, {}]", "has no lens or view for picture 0"),
+        ("7", "has 1 cameras for 2 pictures"),
+    ],
+)
+def test_a_file_of_other_cameras_is_refused_with_a_hint(
+    document: str, message: str, site: WebSite
+) -> None:
+    pictures = 2 * [{"width": 36, "height": 24}]
+    result = site.page.evaluate(_PICTURE_CAMERAS, [document, ["a.png", "b.png"], pictures, [4, 6]])
+    assert message in result["error"]
+    assert "transforms.json" in result["hint"]
+
+
+def test_lenses_that_no_picture_input_has_are_refused(site: WebSite) -> None:
+    lens = {"fl_x": 40.0, "camera_model": "OPENCV_FISHEYE"}
+    document = json.dumps(transforms(np.random.default_rng(0), lens=lens))
+    pictures = 2 * [{"width": 36, "height": 24}]
+    result = site.page.evaluate(_PICTURE_CAMERAS, [document, ["a.png", "b.png"], pictures, [4, 6]])
+    assert "has a fisheye camera for picture 0, expected one with perspective" in result["error"]
+    document = document.replace('"camera_model"', '"other"').replace(
+        '"fl_x"', '"w": 9, "h": 24, "fl_x"'
+    )
+    result = site.page.evaluate(_PICTURE_CAMERAS, [document, ["a.png", "b.png"], pictures, [4, 6]])
+    assert "has a camera of 9×24 pixels, but picture 0 has 36×24" in result["error"]

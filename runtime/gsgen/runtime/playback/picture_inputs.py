@@ -1,7 +1,8 @@
 """Reads pictures and their cameras for the inputs of a generator's scene pass."""
 
-__all__ = ["picture_files", "picture_tracks"]
+__all__ = ["camera_list", "picture_files", "picture_tracks"]
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,8 +55,7 @@ def picture_tracks(
     """
     if not images:
         if cameras is not None:
-            hint = f"Give the pictures with {_OPTION}."
-            raise ConfigInvalid("has cameras without pictures", where=_CAMERA_OPTION, hint=hint)
+            raise _without_pictures()
         return []
     pictures = [_read_picture(file) for file in picture_files(images)]
     if cameras is not None:
@@ -74,6 +74,28 @@ def picture_tracks(
             hint="Leave the option out.",
         )
     return tracks
+
+
+def _without_pictures() -> ConfigInvalid:
+    hint = f"Give the pictures with {_OPTION}."
+    return ConfigInvalid("has cameras without pictures", where=_CAMERA_OPTION, hint=hint)
+
+
+def camera_list(text: str, files: Sequence[Path]) -> str:
+    """Return the cameras of pictures as a JSON list of gsgen, in their order, for pages.
+
+    Args:
+        text: The value of ``--image-cameras``.
+        files: The pictures.
+
+    Raises:
+        ConfigInvalid: There are no pictures, or another number than cameras.
+    """
+    if not files:
+        raise _without_pictures()
+    pictures = _with_cameras([_read_picture(file) for file in files], text)
+    cameras = [json.loads(picture.camera.to_json()) for picture in pictures if picture.camera]
+    return json.dumps(cameras)
 
 
 def picture_files(texts: Iterable[str]) -> list[Path]:

@@ -64,6 +64,7 @@ class ModelView:
         time: Fixed time of generators; None plays it.
         play: Whether the time is played.
         images: Addresses of the pictures that generators are computed from.
+        image_cameras: Address of a file of their cameras; empty without cameras.
     """
 
     background: tuple[float, float, float] | None = None
@@ -72,6 +73,7 @@ class ModelView:
     time: float | None = None
     play: bool = True
     images: tuple[str, ...] = ()
+    image_cameras: str = ""
 
     def attributes(self) -> str:
         """Return the HTML attributes of the element ``gsgen-model`` for a page's view settings."""
@@ -82,6 +84,8 @@ class ModelView:
             )
         if self.images:
             attribute_names.append(f'images="{for_html(" ".join(self.images))}"')
+        if self.image_cameras:
+            attribute_names.append(f'image-cameras="{for_html(self.image_cameras)}"')
         if self.fov is not None:
             attribute_names.append(f'field-of-view="{self.fov:g}"')
         if self.up is not None:
@@ -295,7 +299,7 @@ def _figure_html(address: str, path: Path, view: ModelView) -> str:
     if _takes_pictures(path):
         caption += f' <input type="file" accept="image/*" multiple aria-label="Pictures of {name}">'
     else:
-        view = replace(view, images=())
+        view = replace(view, images=(), image_cameras="")
     tag = "gsgen-scene" if is_scene_file(path) else "gsgen-model"
     return (
         f'<figure><{tag} src="{for_html(address)}" name="{name}" alt="{name}" '

@@ -50,6 +50,7 @@ class ModelServer(LocalServer):
         port: Port; 0 takes one that is free.
         read: Reads files of splats.
         images: Pictures that generators are computed from.
+        image_cameras: Their cameras, as :func:`gsgen.runtime.playback.picture_inputs.camera_list` writes them.
     """
 
     def __init__(
@@ -62,12 +63,14 @@ class ModelServer(LocalServer):
         port: int = 0,
         read: SplatReader = open_splats,
         images: Sequence[Path] = (),
+        image_cameras: str = "",
     ) -> None:
         super().__init__("127.0.0.1", port, _Handler)
         self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
         addresses = {quote(address): path for address, path in self._models.items()}
         pictures = {f"/pictures/{number}/{path.name}": path for number, path in enumerate(images)}
-        view = replace(view, images=tuple(map(quote, pictures)))
+        cameras = "/pictures/cameras.json" if image_cameras else ""
+        view = replace(view, images=tuple(map(quote, pictures)), image_cameras=cameras)
         three_address = None if three is None else "/gsgen/three/"
         page = served_page(addresses, view, three_address).encode()
         self._content_readers: dict[str, Callable[[], ContentTypeAndBytes]] = {
@@ -81,6 +84,9 @@ class ModelServer(LocalServer):
             for name in names if folder else ():
                 address = f"/gsgen/{library}/{name}"
                 self._content_readers[address] = partial(_file, (folder or Path()) / name)
+        if image_cameras:
+            cameras_file = ("application/json", image_cameras.encode())
+            self._content_readers[cameras] = lambda: cameras_file
         for address, path in pictures.items():
             self._content_readers[address] = partial(_file, path)
         for address, path in self._models.items():

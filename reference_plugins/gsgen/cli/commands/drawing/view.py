@@ -122,7 +122,9 @@ def view(
     if web:
         page = _page_view(background, fov, up, time, play=play)
         read = partial(read_splats, origin=parse_origin(origin))
-        return _serve_page(scenes, page, read, ort, three, port, image, as_json=as_json)
+        return _serve_page(
+            scenes, page, read, ort, three, port, image, image_cameras, as_json=as_json
+        )
     symbols, width, height = options.split_image_size(size, width, height, scenes)
     _require_display(scenes)
     files, color = _files_and_background(scenes, background)
@@ -225,6 +227,7 @@ def _serve_page(
     three: Path | None,
     port: int,
     images: Sequence[str] | None,
+    image_cameras: str | None,
     *,
     as_json: bool,
 ) -> None:
@@ -232,7 +235,7 @@ def _serve_page(
     import webbrowser
 
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
-    from gsgen.runtime.playback.picture_inputs import picture_files
+    from gsgen.runtime.playback.picture_inputs import camera_list, picture_files
     from gsgen.runtime.web.onnxruntime_web import ort_folder
     from gsgen.runtime.web.pages import files_shown
     from gsgen.runtime.web.serving import ModelServer
@@ -253,6 +256,7 @@ def _serve_page(
     has_three = three is not None or any(file.is_mesh for file in files)
     three_folder = THREE.located(three) if has_three else None
     pictures = picture_files(images) if images else []
+    cameras = camera_list(image_cameras, pictures) if image_cameras else ""
     try:
         server = ModelServer(
             scenes,
@@ -262,6 +266,7 @@ def _serve_page(
             port=port,
             read=read,
             images=pictures,
+            image_cameras=cameras,
         )
     except OSError as error:
         hint = "Choose another --port; 0 takes one that is free."

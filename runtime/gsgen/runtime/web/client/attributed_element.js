@@ -12,6 +12,7 @@ import { nearestWord } from "./words.js";
  * @property {string} poster Address of a picture that is shown until the model is.
  * @property {string} images Addresses of the pictures that a generator computes its Gaussians from.
  * @property {string} posts Addresses of post-process models that the picture goes through.
+ * @property {string} imageCameras Address of a file of the cameras of these pictures.
  * @property {"eager" | "lazy"} loading
  * @property {boolean} cameraControls Whether visitors turn the camera.
  * @property {boolean} fileDrop Whether visitors drop files.

@@ -123,6 +123,7 @@ export const ATTRIBUTES = {
   poster: address(),
   images: list(),
   posts: list(),
+  "image-cameras": address(),
   loading: keyword("lazy", "eager"),
   "camera-controls": flag(),
   "file-drop": flag(),

@@ -106,7 +106,7 @@ export class GsgenModel extends ModelControls {
     super.attributeChangedCallback(name, before, now);
     if (!this.isConnected || before === now) return;
     const { _playback: playback, _shown: shown } = this;
-    if (name === "src" || name === "images") this._sourceChanged();
+    if (["src", "images", "image-cameras"].includes(name)) this._sourceChanged();
     else if (name === "posts") this._usePosts();
     else if (name === "alt" || name === "camera-controls") this._describe();
     else if (name === "poster" && !shown) this._view.showPoster(this.poster);
@@ -293,6 +293,7 @@ export class GsgenModel extends ModelControls {
       onLost: (loss) => signal.aborted || this._lose(loss),
       target: this.target,
       pictures: this.pictures,
+      imageCameras: this.imageCameras,
       maxError: this.maxError ?? undefined,
       maxSplats: this.maxSplats ?? undefined,
       onChange: () => this._requestFrame(),

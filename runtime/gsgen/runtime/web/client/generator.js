@@ -13,7 +13,7 @@ import { ModelSession } from "./model_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
 import { IDENTITY } from "./matrices.js";
-import { pictureValues } from "./pictures.js";
+import { fittedPicture, pictureCameras, readPictures } from "./pictures.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
 
 /** The outputs of a session as pages. */
@@ -108,16 +108,16 @@ export class GeneratorModel {
    * @param {any} kernels
    * @param {import("./splat_files.js").FileContent} content
    * @param {string} name
-   * @param {{pictures?: (Blob | string)[]}} [options]
+   * @param {{pictures?: (Blob | string)[], imageCameras?: string}} [options]
    */
-  static async open(kernels, content, name, { pictures = [] } = {}) {
+  static async open(kernels, content, name, { pictures = [], imageCameras = "" } = {}) {
     if (kernels.openGenerator) return kernels.openGenerator(content, name); // without WebGPU
     const { bytes, inspected } = content;
     if (!inspected) return failing(name)("was not checked");
     const session = await ModelSession.open(kernels, bytes, inspected, name);
     const model = new GeneratorModel(kernels, session, inspected.manifest);
     model.findings = inspected.findings;
-    if (pictures.length) await model._takePictures(pictures, name);
+    if (pictures.length) await model._takePictures(pictures, imageCameras, name);
     await model._survey();
     return model;
   }
@@ -147,11 +147,17 @@ export class GeneratorModel {
     return this._run();
   }
 
-  /** Compute from pictures, from now on. @param {(Blob | string)[]} sources Files or addresses. */
-  async _takePictures(sources, where) {
+  /** Compute from pictures, from now on, and their cameras. @param {(Blob | string)[]} sources Files or addresses. */
+  async _takePictures(sources, cameras, where) {
     const spec = this.inputs.find(({ role }) => role === "image");
     if (!spec) failing(where)("is not computed from pictures", "Leave out the attribute images.");
-    this._inputs.write(spec.name, await pictureValues(spec, this._inputs.shape(spec.name), sources));
+    const [count, , rows, columns] = this._inputs.shape(spec.name);
+    const pictures = await readPictures(spec, count, sources);
+    this._inputs.write(spec.name, pictures.flatMap((pixels) => [...fittedPicture(pixels, [rows, columns], spec)]));
+    if (cameras) {
+      if (!this.inputs.some(({ role }) => role === "image_view")) failing(where)("assumes cameras of its own", "Leave out the attribute image-cameras.");
+      this._inputs.update(await pictureCameras(cameras, sources, pictures, [rows, columns]));
+    }
     this.hasPictures = true;
   }
 

@@ -101,6 +101,7 @@ class StillModel {
  * @property {number} [maxError] Error in pixels above which tiles are refined.
  * @property {number} [maxSplats] Most Gaussians in GPU memory.
  * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
+ * @property {string} [imageCameras] Address of the cameras of these pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.
  * @property {(model: any) => void} [onBegin] Called when rows of a file begin to arrive.
  * @property {() => void} onChange Called when more rows or tiles have arrived.

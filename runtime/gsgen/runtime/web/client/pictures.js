@@ -3,6 +3,7 @@
  * shape of the input, resampled by a triangle filter, over the input's background.
  */
 
+import { viewOf } from "./camera.js";
 import { download } from "./download.js";
 import { failing, GsgenError } from "./errors.js";
 
@@ -25,16 +26,22 @@ function triangles(source, target, scale, start) {
   });
 }
 
+/** Return the part of a picture that an input shows: pixels per pixel of the input, left and upper edge. */
+function partOf({ width, height }, [rows, columns]) {
+  const scale = Math.min(width / columns, height / rows);
+  return { scale, left: (width - scale * columns) / 2, top: (height - scale * rows) / 2 };
+}
+
 /**
  * Return a picture as values of an input, [3, rows, columns].
  * @param {Pixels} pixels
  * @param {number[]} size Rows and columns.
  * @param {{background?: number[], range?: number[]}} spec
  */
-export function fittedPicture({ data, width, height }, [rows, columns], { background = [0, 0, 0], range = [0, 1] }) {
-  const scale = Math.min(width / columns, height / rows);
-  const across = triangles(width, columns, scale, (width - scale * columns) / 2);
-  const down = triangles(height, rows, scale, (height - scale * rows) / 2);
+export function fittedPicture(pixels, [rows, columns], { background = [0, 0, 0], range = [0, 1] }) {
+  const { data, width, height } = pixels;
+  const { scale, left, top } = partOf(pixels, [rows, columns]);
+  const [across, down] = [triangles(width, columns, scale, left), triangles(height, rows, scale, top)];
   const [low, high] = range;
   const values = new Float32Array(3 * rows * columns);
   const line = new Float64Array(width);
@@ -73,19 +80,65 @@ async function pixelsOf(source) {
   return context.getImageData(0, 0, width, height);
 }
 
+/** Return the camera of a frame of a transforms.json, whose axes are those of OpenGL. */
+function cameraOfFrame({ file_path: name, transform_matrix: m, w, h, ...frame }) {
+  const focal = (...axes) => {
+    const [length] = axes.flatMap((axis) => {
+      const angle = frame[`camera_angle_${axis}`];
+      return frame[`fl_${axis}`] ?? (angle ? { x: w, y: h }[axis] / 2 / Math.tan(angle / 2) : []);
+    });
+    return length;
+  };
+  const turn = [0, 1, 2].flatMap((axis) => [0, 1, 2].map((row) => (axis ? -1 : 1) * m[row][axis]));
+  const view = viewOf(turn, [m[0][3], m[1][3], m[2][3]]);
+  const isPinhole = !frame.is_fisheye && !/FISHEYE|EQUIRECTANGULAR/i.test(frame.camera_model ?? "");
+  const { cx = w / 2, cy = h / 2 } = frame;
+  const kind = isPinhole ? "pinhole" : "fisheye";
+  return { name, view, fx: focal("x", "y"), fy: focal("y", "x"), cx, cy, width: w, height: h, kind };
+}
+
 /**
- * Return the values of an input of pictures.
- * @param {any} spec The input, as its manifest declares it.
- * @param {number[]} shape
- * @param {(Blob | string)[]} sources
+ * Return the cameras of pictures, by their names or in order, in the pixels of an input.
+ * @param {string} address Of a transforms.json, or of cameras as gsgen writes them.
+ * @param {(Blob | string)[]} sources The pictures.
+ * @param {Pixels[]} pictures
+ * @param {[number, number]} size Rows and columns of the input.
+ * @returns {Promise<{image_view: number[], image_intrinsics: number[]}>}
  */
-export async function pictureValues(spec, shape, sources) {
-  const [count, , rows, columns] = shape;
+export async function pictureCameras(address, sources, pictures, size) {
+  const fail = failing(address, "Give a transforms.json, or cameras as gsgen writes them.");
+  const document = await new Response(await download(address)).json().catch((error) => fail(`is no JSON: ${error.message}`));
+  const [{ width: w, height: h }] = pictures;
+  const read = () => document.frames?.map((frame) => cameraOfFrame({ w, h, ...document, ...frame })) ?? [document].flat();
+  /** @type {any[]} */
+  let cameras = [];
+  try { cameras = read(); } catch { fail("has a frame without a transform_matrix"); }
+  const stem = (name) => decodeURIComponent(String(name).split(/[?#]/)[0].replace(/^.*\//, "")).replace(/\.[^.]*$/, "");
+  const byName = new Map(cameras.map((camera, i) => [stem(camera.name ?? i), camera]));
+  const named = sources.map((source) => byName.get(stem(source instanceof File ? source.name : source)));
+  if (named.every(Boolean)) cameras = named;
+  if (cameras.length !== sources.length) fail(`has ${cameras.length} cameras for ${sources.length} pictures of other names`);
+  const result = { image_view: [], image_intrinsics: [] };
+  cameras.forEach(({ view, fx, fy, cx, cy, width, height, kind = "pinhole" }, i) => {
+    const [picture, matrix] = [pictures[i], [view].flat(2)];
+    const { scale, left, top } = partOf(picture, size);
+    const [across, down] = [picture.width / width, picture.height / height];
+    const lens = [(fx * across) / scale, 0, (cx * across - left) / scale, 0, (fy * down) / scale, (cy * down - top) / scale, 0, 0, 1];
+    if (matrix.length !== 16 || ![...matrix, ...lens].every(Number.isFinite)) fail(`has no lens or view for picture ${i}`);
+    if (kind !== "pinhole") fail(`has a ${kind} camera for picture ${i}, expected one with perspective`);
+    if (Math.abs(width * picture.height - height * picture.width) > Math.max(width, height)) {
+      fail(`has a camera of ${width}×${height} pixels, but picture ${i} has ${picture.width}×${picture.height}`);
+    }
+    result.image_view.push(...matrix);
+    result.image_intrinsics.push(...lens);
+  });
+  return result;
+}
+
+/** Read the pictures of an input. @param {any} spec @param {number} count @param {(Blob | string)[]} sources */
+export async function readPictures(spec, count, sources) {
   if (sources.length !== count) {
     throw new GsgenError(`has ${sources.length} pictures, expected ${count}`, { where: `input ${spec.name}` });
   }
-  const pictures = await Promise.all(sources.map(pixelsOf));
-  const values = new Float32Array(count * 3 * rows * columns);
-  pictures.forEach((pixels, i) => values.set(fittedPicture(pixels, [rows, columns], spec), i * 3 * rows * columns));
-  return values;
+  return Promise.all(sources.map(pixelsOf));
 }
