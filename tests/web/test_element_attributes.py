@@ -104,7 +104,7 @@ def test_every_property_reflects_its_attribute(page: Any) -> None:
             "camera-orbit": [1, 2, 3], "camera-target": [1, 2, 3], "min-camera-orbit": [1, 2, 3],
             "max-camera-orbit": [1, 2, 3], background: "red", mode: "depth", up: "-z",
             loading: "eager", target: "core", time: 2, "max-error": 2, "max-splats": 5000,
-            "field-of-view": 70, "rotation-per-second": 5,
+            "field-of-view": 70, "rotation-per-second": 5, "min-render-scale": 0.8,
           };
           for (const [name, { reflects }] of Object.entries(ATTRIBUTES)) {
             const property = propertyOf(name);

@@ -178,6 +178,8 @@ def test_no_kernel_is_written_in_javascript() -> None:
         "count",
         "scan",
         "sort",
+        "layer colors",
+        "layer depths",
     }
     paths = [path for path in CLIENT.rglob("*.js") if path.name != "contract_rules.js"]
     texts = {path.name: path.read_text("utf-8") for path in paths}

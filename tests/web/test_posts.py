@@ -281,7 +281,7 @@ def test_an_element_that_plays_slowly_has_fewer_pixels_until_it_is_still(page: A
       // A device of which a frame takes time by its pixels: 48 ms when whole.
       const { measured } = shown._governor;
       shown._governor.measured = function () {
-        measured.call(this, 48 * (shown.camera.width / WIDTH) ** 2);
+        measured.call(this, 48 * this.scale ** 2);
       };
       const widths = [];
       for (let turn = 0; turn < 24; turn++) {
@@ -289,6 +289,7 @@ def test_an_element_that_plays_slowly_has_fewer_pixels_until_it_is_still(page: A
         model.orbit = { azimuth: 30 + turn };
         await until(() => shown.camera !== camera);
         widths.push(shown.camera.width);
+        await shown.kernels.device.queue.onSubmittedWorkDone(); // each frame is measured before the next
       }
       model.orbit = { azimuth: 30 };
       await until(() => shown.isFinal(model._look()) && !model._frameRequest && !model._isDrawing);

@@ -62,6 +62,7 @@ def steady_frames(page: Any, count: int, *, are_executed: bool = True) -> Steady
     page.evaluate(f"{element}.pause()")
     page.evaluate(f"{element}.style.cssText = 'width: 64px; height: 48px; min-height: 0'; null")
     page.wait_for_function(f"{element}.camera.width === 64")
+    page.evaluate(f"{element}.minRenderScale = 1")  # frames of one size, also where they are slow
     page.wait_for_timeout(500)
     page.evaluate(_SCRIPT, [2, True])
     profiler = page.context.new_cdp_session(page)

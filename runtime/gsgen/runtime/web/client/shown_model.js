@@ -104,6 +104,12 @@ export class ShownModel {
     return this._opening;
   }
 
+  /** Return the camera of the orbit, around what has arrived. */
+  _framed(width, height) {
+    this.orbit.fit(this.model.extent);
+    return this.orbit.camera(width, height);
+  }
+
   /**
    * Draw a frame of the camera into GPU memory.
    * @param {Look} look
@@ -116,7 +122,7 @@ export class ShownModel {
       const [columns, rows] = [width, height].map((side) => Math.max(Math.round(scale * side), 1));
       this._processed = null;
       this._isReduced = scale < 1;
-      await this._drawWith(this.renderer, this.orbit.camera(columns, rows), look);
+      await this._drawWith(this.renderer, this._framed(columns, rows), look);
       if (leastScale === 1) return;
       this.kernels.device.queue.onSubmittedWorkDone().then(() => {
         const now = performance.now();
@@ -134,7 +140,7 @@ export class ShownModel {
   /** Draw a frame that stays: it goes through post-process models. @param {Look} look */
   async drawFinal(width, height, look) {
     return this._inTurn(async () => {
-      await this._drawWith(this.renderer, this.orbit.camera(width, height), look);
+      await this._drawWith(this.renderer, this._framed(width, height), look);
       this._isReduced = false;
       if (this.camera) this._processed = await this._process(this.renderer, this.camera, look);
     });
@@ -178,7 +184,6 @@ export class ShownModel {
       if (this.isDestroyed) return;
       this.isStale = false;
     }
-    this.orbit.fit(model.extent);
     const [red, green, blue, alpha] = look.background;
     const sRgb = [red, green, blue];
     const light = model.buffers.isLinear ? sRgb.map(linearOf) : sRgb;
@@ -223,7 +228,7 @@ export class ShownModel {
     await this._opening;
     try {
       return await this._aside(async (renderer) => {
-        const camera = this.orbit.camera(width, height);
+        const camera = this._framed(width, height);
         await this._drawWith(renderer, camera, look, { isWhole: true });
         if (this.isDestroyed) throw new GsgenError("the model was removed before its picture was drawn");
         this._show(presenter, camera, look, await this._process(renderer, camera, look));
