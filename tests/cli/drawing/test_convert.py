@@ -288,5 +288,9 @@ def test_mesh_is_refused_as_a_mesh(
     completed = gsgen_here(*before, name, *after, cwd=tmp_path)
     assert completed.code == 4
     assert f"gsgen: {name}: is a mesh, expected splats" in completed.err
-    assert f"`gsgen render {name} -o picture.png` draws it" in completed.err
+    hint = {
+        "convert": f"`gsgen render {name} -o picture.png` draws it",
+        "export": "of a scene file",
+    }
+    assert hint[before[0]] in completed.err
     assert completed.err.count("\n") == 2

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from gsgen.contract.probing.outputs import Rows
-from gsgen.contract.probing.sandbox import Extremes
-from gsgen.contract.rules.behaviour.survey import _out_of_range_text
 from gsgen.contract.rules.interface.avatar_inputs import blend_weights_in_unit_range
 from gsgen.contract.rules.targets.visionary_drawing import visionary_fades_small
 from gsgen.contract.spec.manifest import Bounds, Input
@@ -45,33 +43,3 @@ def test_gaussians_below_a_third_of_a_pixel_fade(sigma: float, fades: bool) -> N
     (violation,) = visionary_fades_small.check(cast(Rows, rows))
     assert violation.invalid_rows is not None
     assert violation.invalid_rows.tolist() == [fades] * 8
-
-
-@pytest.mark.parametrize(
-    ("field", "column", "low", "high", "text"),
-    [
-        ("opacity", 3, 0.0, 1.0, ""),
-        ("opacity", 3, -0.002, 1.0, "-0.002"),
-        ("opacity", 3, 0.0, 1.002, "1.002"),
-        ("covariance", 4, 0.0, 2.0, ""),
-        ("covariance", 4, -1e-5, 2.0, ""),  # rounding, beside the largest variance
-        ("covariance", 4, -1e-4, 2.0, "-0.0001"),
-        ("covariance", 7, -0.5, 2.0, "-0.5"),
-        ("covariance", 9, -0.5, 2.0, "-0.5"),
-        ("covariance", 5, -0.5, 2.0, ""),  # xy has any sign
-    ],
-)
-def test_extremes_of_a_run_are_in_range(
-    field: str, column: int, low: float, high: float, text: str
-) -> None:
-    lows, highs = np.full(10, 0.5), np.full(10, 0.5)
-    lows[column], highs[column] = low, high
-    extremes = Extremes(count=5, capacity=5, low=tuple(lows.tolist()), high=tuple(highs.tolist()))
-    assert _out_of_range_text(field, extremes) == text
-
-
-@pytest.mark.parametrize(("count", "text"), [(0, ""), (5, ""), (6, "6"), (-1, "-1")])
-def test_the_count_of_a_run_lies_between_0_and_the_capacity(count: int, text: str) -> None:
-    extremes = Extremes(count=count, capacity=5, low=(), high=())
-    assert _out_of_range_text("count", extremes) == text
-    assert _out_of_range_text("covariance", extremes) == ""

@@ -23,7 +23,6 @@ import numpy as np
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.contract.spec.input_defaults import default_tensor
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
 
 # Suffix of the label of a probe that is run a second time.
@@ -194,6 +193,8 @@ def _joint_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
     Up to 24 joints turn alone, those nearest to the root first.
     """
+    from gsgen.contract.spec.input_defaults import default_tensor
+
     entry = next((entry for entry in _inputs_of_role(manifest, "pose") if entry.joints), None)
     template = base.inputs[entry.name] if entry else np.zeros(0)
     if entry is None or template.ndim != 2 or len(entry.joints) != len(template):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import ZERO_LABEL, trial_probes, turned_away_probes
-from gsgen.contract.probing.named_moments import moments_of
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.probing.test_vectors import vector_probes
 from gsgen.contract.spec.manifest import Input, PostProcessManifest
@@ -85,6 +84,8 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         probes.extend(group)
     if level < Level.BEHAVIOUR:
         return Plan(probes=tuple(probes), values=len(first), trials=trials, seed=seed)
+    from gsgen.contract.probing.named_moments import moments_of
+
     repeated_count = len(probes)
     probes += [first[base], first[base]]
     other_probes = (first[-1], first[len(first) // 2])[: _affordable_variants(subject, count)]

@@ -88,7 +88,7 @@ def read_motion(path: Path, joints: int) -> Motion:
     if path.suffix == ".json":
         read = _read_json(path)
         return _motion_from_json(path, read if isinstance(read, list) else [read], joints)
-    is_state = path.suffix in (".pth", ".pt")
+    is_state = path.suffix.startswith(".pt")  # .pt, .pth
     arrays = _read_training_poses(path) if is_state else _read_arrays(path)
     return _motion_from_arrays(path, arrays, joints)
 

@@ -52,6 +52,13 @@ class _Event:
     synchronize = wait = staticmethod(_nothing)
 
 
+class _NoContext(nullcontext[None]):
+    """A context of a device or of a stream, which changes nothing."""
+
+    def __init__(self, *_: Any) -> None:
+        super().__init__()
+
+
 class _Stream:
     """A stream whose work is done when it is enqueued."""
 
@@ -124,7 +131,9 @@ _CUDA_ANSWERS: Final[dict[str, Any]] = {
         ),
         0,
     ),
-    **_each(("device", "device_of", "stream", "StreamContext"), nullcontext()),
+    # torch's tracer asks what is an instance of them.
+    **{name: type(name, (_NoContext,), {}) for name in ("device", "device_of", "StreamContext")},
+    "stream": _NoContext,
     **_each(("current_stream", "default_stream"), _Stream()),
     "Stream": _Stream,
     "ExternalStream": type("_ExternalStream", (_Stream,), {}),

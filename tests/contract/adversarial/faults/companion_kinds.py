@@ -31,12 +31,12 @@ for name, mistake, options, sentence, cause in CELLS:
 
     fault(name, FAMILY, mistake, cause, build=_build, sentence=sentence)
 
-SIZE = Sentence("manifest.md", "gives an image of the same size.")
+SIZE = Sentence("manifest.md", "gives an image of the same size")
 PICTURES: list[tuple[str, str, dict[str, Any], Sentence | None, str]] = [
     ("picture_half_the_size", "Left the pooling of the training resolution in.", {"pool": True, "out_layout": (1, 3, "h2", "w2")}, SIZE, r"size|resolution|height|width|shape"),
     ("picture_channels_last", "Exported channels last, as TensorFlow does.", {"layout": (1, "h", "w", 3)}, Sentence("roles.md", "Pictures, channels first: of the scene, or the rendered one."), r"channel|NHWC|shape|\[1, 3"),
     ("picture_without_batch", "Exported the picture without its first axis.", {"layout": (3, "h", "w")}, Sentence("roles.md", "[1, 3, H, W] or [1, 4, H, W]"), r"rank|axes|shape|\[1, 3"),
-    ("picture_with_an_open_batch", "Left the first axis open.", {"layout": ("b", 3, "h", "w")}, Sentence("roles.md", "Height and width may be open in the graph; all other sizes are static."), r"static|open|dynamic|batch"),
+    ("picture_with_an_open_batch", "Left the first axis open.", {"layout": ("b", 3, "h", "w")}, Sentence("roles.md", "all other sizes are static."), r"static|open|dynamic|batch"),
     ("picture_in_bytes", "The output is in 0…255 and declared in 0…1.", {"scale": 255.0}, None, r"range|255"),
     ("picture_signed", "The output is in −1…1 and declared in 0…1.", {"scale": 2.0, "offset": -1.0}, None, r"range|-1|negative"),
     ("picture_with_noise", "Left the noise of the sampler in.", {"noise": True}, Sentence("manifest.md", "Two executions of the same model"), r"random|determinis|noise"),

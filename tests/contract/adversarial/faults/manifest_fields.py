@@ -29,7 +29,7 @@ HOLDS = Sentence(
     "manifest.md",
     "An axis-aligned box of all Gaussian centres for all inputs, checked with test inputs.",
 )
-VERSION = Sentence("manifest.md", '`contract` is `"major.minor"`, a string.')
+VERSION = Sentence("manifest.md", '`contract` is `"major.minor"`, a string')
 
 
 def _scene(kind: str = "surface") -> Draft:

@@ -271,7 +271,7 @@ FILES: list[tuple[str, str, Callable[[], Draft], Sentence, str]] = [
         "picture_twice_the_size",
         "Exported a network of super-resolution as a filter.",
         _enlarged,
-        Sentence("manifest.md", "height and width must be those of the input"),
+        Sentence("manifest.md", "height and width must be `scale` times those of the input"),
         r"size of the input",
     ),
 ]

@@ -21,8 +21,8 @@ from contract.adversarial.scenes import Array, Scene, rows, scene, sh_columns
 
 FAMILY = "cameras"
 N = 400
-PROBES = Sentence("levels.md", "At these probes outputs must be finite")
-RANGES = Sentence("levels.md", "and the count, opacities and variances must lie in their ranges")
+PROBES = Sentence("levels.md", "At these moments outputs must be finite")
+RANGES = Sentence("levels.md", "and what rules say of single runs must hold")
 
 Parts = tuple[str, str, str]
 PartsOf = Callable[[GraphBuilder, Scene, Array, str, str], Parts]

@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 
 from gsgen.contract.probing.differences import largest_difference
-from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
@@ -95,6 +94,8 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
 
 def _frame_runs(behaviour: Behaviour) -> list[ProbeRun]:
     """Return the runs at the beginning of each frame, except where rounding may give the one before."""
+    from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down
+
     manifest = behaviour.subject.manifest
     entries = manifest.inputs if manifest else ()
     entry = next((entry for entry in entries if entry.frames), None)
