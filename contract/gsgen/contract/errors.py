@@ -76,7 +76,7 @@ class GsgenError(Exception):
     Attributes:
         message: The fault, with the offending value and the expected one.
         where: The file, tensor, row or option that holds the fault.
-        hint: The next thing to do or type; empty if there is none.
+        hint: The next thing to do or type; may be empty.
         exit_code: The exit code of a command that the error ends.
     """
 

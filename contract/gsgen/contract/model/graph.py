@@ -92,7 +92,7 @@ class Graph:
         checker_fault: The complaint of ``onnx.checker``; empty if it passes.
         inference_fault: The complaint of shape inference; empty if it passes.
         output_names: Names of the outputs, in order.
-        declared_outputs: The outputs as the file declares them, without what was inferred.
+        declared_outputs: The outputs as the file declares them, without inferred ones.
     """
 
     inputs: tuple[Tensor, ...]

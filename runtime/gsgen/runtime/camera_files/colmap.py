@@ -27,7 +27,7 @@ COLMAP_FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
 
 
 def model_folder(folder: Path) -> Path | None:
-    """Find the folder with the COLMAP model of a data set; None if there is none."""
+    """Find the folder with the COLMAP model of a data set; None without one."""
     for part in COLMAP_FOLDERS:
         for suffix in ("bin", "txt"):
             names = (f"cameras.{suffix}", f"images.{suffix}")

@@ -185,7 +185,7 @@ class FrameSession:
 
     @property
     def constant_outputs(self) -> frozenset[str]:
-        """Names of the outputs that every frame of the model shares, whatever its inputs are."""
+        """Names of the outputs that every frame of the model shares, for all inputs."""
         return self._sources.constant_outputs
 
     def samples(self) -> list[dict[str, np.ndarray]]:

@@ -1,6 +1,6 @@
 """Records output rows of the torch module in an exported model's manifest, as test vectors.
 
-Whatever edits the file later, a validator compares the model with the module that it came from,
+After each edit of the file, a validator compares the model with the module that it came from,
 without torch and without further files (rule GM037).
 """
 

@@ -70,7 +70,7 @@ class OperatorWatch(TorchDispatchMode):
     Attributes:
         lines: Operator, without namespace and overload → ``file:line (code)`` of its first call.
         low_precision: Line and dtype of the first operator that computes in a floating type below
-            float32, or else converts to one; empty if there is none.
+            float32, or else converts to one; else empty.
         reading_line: The line of the first operator that reads ``watched``; empty without one.
     """
 

@@ -37,7 +37,7 @@ _ELEMENT_COST, _BROADCAST_COST, _CHOICE_COST, _COPY_COST, _PRODUCT_COST = (
     85.0,
 )
 _TRANSPOSE_COST, _STRIDED_REDUCE_COST, _PLANE_COPY_COST = 0.25, 5.0, 0.15
-# A node costs as much as a launch on a GPU, whatever it computes.
+# A node costs as much as a launch on a GPU, even where it computes little.
 _NODE_COST = 3000.0
 _MAX_PRODUCT_TERMS = 4
 
