@@ -36,8 +36,8 @@ class UnstableSum(Cloud):
 
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("factor", 1e5 * torch.randn(3, 64))
-        self.register_buffer("back", torch.randn(64, 3))
+        self.register_buffer("factor", 1e5 * torch.randn(3, 1024))
+        self.register_buffer("back", torch.randn(1024, 3))
 
     def forward(self, time: Tensor) -> Gaussians:
         product = (self.rest + time) @ self.factor
