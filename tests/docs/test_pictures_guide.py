@@ -65,7 +65,7 @@ def test_the_guide_ends_with_a_model_a_film_a_sog_and_a_page(tmp_path: Path) -> 
     assert "conforms at level behaviour" in output  # the export
     assert "\nconforms: " in output  # the validation
     assert "turn.mp4: 6 frames of 96×96" in output
-    splats = open_splats(folder / "object.sog").read()
+    splats = open_splats(folder / "object.sog")
     assert 100 < len(splats) <= 4 * 32 * 32
     page = (folder / "object.html").read_text("utf-8")
     assert "<gsgen-model" in page
