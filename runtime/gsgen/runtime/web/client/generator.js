@@ -153,7 +153,9 @@ export class GeneratorModel {
     if (!spec) failing(where)("is not computed from pictures", "Leave out the attribute images.");
     const [count, , rows, columns] = this._inputs.shape(spec.name);
     const pictures = await readPictures(spec, count, sources);
-    this._inputs.write(spec.name, pictures.flatMap((pixels) => [...fittedPicture(pixels, [rows, columns], spec)]));
+    const values = new Float32Array(count * 3 * rows * columns);
+    pictures.forEach((pixels, i) => values.set(fittedPicture(pixels, [rows, columns], spec), i * 3 * rows * columns));
+    this._inputs.write(spec.name, values);
     if (cameras) {
       if (!this.inputs.some(({ role }) => role === "image_view")) failing(where)("assumes cameras of its own", "Leave out the attribute image-cameras.");
       this._inputs.update(await pictureCameras(cameras, sources, pictures, [rows, columns]));

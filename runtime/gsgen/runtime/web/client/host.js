@@ -80,20 +80,28 @@ export class KernelCache {
   }
 
   /**
+   * Return the bind groups of a pipeline.
+   * @param {number} pipeline Its row in the plans.
+   * @param {GPUBufferBinding[][]} groups The resources of each bind group.
+   */
+  bound(pipeline, groups) {
+    const kinds = this.plans.pipelines[pipeline].groups;
+    return groups.map((resources, index) => {
+      const entries = resources.map((resource, binding) => ({ binding, resource }));
+      return this.device.createBindGroup({ layout: this.layout(kinds[index]), entries });
+    });
+  }
+
+  /**
    * Return a dispatch of a kernel that stands in the plans by itself.
    * @param {{pipeline: number, groups: import("./plan.js").Formula[]}} kernel
    * @param {import("./plan.js").Sizes} sizes
    * @param {GPUBufferBinding[][]} groups The resources of each bind group.
    */
   async step({ pipeline, groups: counts }, sizes, ...groups) {
-    const kinds = this.plans.pipelines[pipeline].groups;
-    const bind = (resources, index) => {
-      const entries = resources.map((resource, binding) => ({ binding, resource }));
-      return this.device.createBindGroup({ layout: this.layout(kinds[index]), entries });
-    };
     return {
       pipeline: await this.pipeline(pipeline),
-      groups: groups.map(bind),
+      groups: this.bound(pipeline, groups),
       counts: counts.map((count) => evaluate(count, sizes)),
     };
   }

@@ -126,13 +126,9 @@ export class ImageLayers {
   }
 
   _bind(layer, colors, depths) {
-    const { device, plans } = this._kernels;
-    const { groups } = plans.pipelines[plans.layers.pipeline];
-    const resources = [[layer.uniform, layer.colors, layer.depths, colors], [depths]];
-    layer.groups = resources.map((buffers, group) => {
-      const entries = buffers.map((buffer, binding) => ({ binding, resource: { buffer } }));
-      return device.createBindGroup({ layout: this._kernels.layout(groups[group]), entries });
-    });
+    const buffers = [[layer.uniform, layer.colors, layer.depths, colors], [depths]];
+    const resources = buffers.map((group) => group.map((buffer) => ({ buffer })));
+    layer.groups = this._kernels.bound(this._kernels.plans.layers.pipeline, resources);
     layer.bound = colors;
   }
 

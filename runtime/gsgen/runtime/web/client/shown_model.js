@@ -18,11 +18,6 @@ import { Renderer } from "./renderer.js";
  * @property {Record<string, any>} inputs Values of the model's inputs.
  */
 
-/** Return the value of a model's time input; frame numbers are whole. */
-export function timeValue({ time }, playback) {
-  return time.isWhole ? Math.min(Math.floor(playback.value), time.high) : playback.value;
-}
-
 /** Return linear light of a number in sRGB. */
 function linearOf(part) {
   return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
@@ -179,7 +174,7 @@ export class ShownModel {
     const { model, playback } = this;
     if (this.isDestroyed) return;
     if (this.isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
+      const time = playback && model.time ? { [model.time.name]: playback.value } : {};
       if (await model.update({ ...time, ...look.inputs }, camera)) this.renderer.setScene(model.sets);
       if (this.isDestroyed) return;
       this.isStale = false;

@@ -13,7 +13,7 @@ import { inTurns, once } from "./once.js";
 import { OrbitCamera } from "./orbit_camera.js";
 import { Playback } from "./playback.js";
 import { sharedPlans } from "./shared.js";
-import { encodedCanvas, timeValue } from "./shown_model.js";
+import { encodedCanvas } from "./shown_model.js";
 import { SplatBuffers, paddedRows } from "./splat_buffers.js";
 import { ThreeGaussians, loadThree } from "./three_adapter.js";
 import { placeEye } from "./three_modules.js";
@@ -160,7 +160,7 @@ class ModelOfThree {
     if (this.isDestroyed) return null;
     const camera = this.orbit.camera(width, height);
     if (this.isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
+      const time = playback && model.time ? { [model.time.name]: playback.value } : {};
       await model.update({ ...time, ...inputs }, camera);
       if (this.isDestroyed) return null;
       [this.isStale, this._seen] = [false, ""];
