@@ -58,6 +58,6 @@ def test_models_break_the_rule_beside_them_at_the_probes_beside_them(tmp_path: P
 
 def test_a_folder_with_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").touch()
-    with pytest.raises(ConfigInvalid, match="is no empty folder"):
+    with pytest.raises(ConfigInvalid, match="the output folder is not empty"):
         write_verdicts(tmp_path, fixtures()[:1])
     assert [path.name for path in tmp_path.iterdir()] == ["a"]

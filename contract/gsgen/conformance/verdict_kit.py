@@ -15,11 +15,10 @@ from typing import Any, Final
 import numpy as np
 
 from gsgen.conformance.fixtures import Fixture, fixtures
-from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probe_plan import make_plan
-from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.atomic_files import atomic_write, require_new_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.severity import Level
@@ -43,9 +42,7 @@ def write_verdicts(folder: Path, examples: Iterable[Fixture] | None = None) -> P
     Raises:
         ConfigInvalid: The folder holds files or is a file.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        hint = "Name a folder that does not exist yet."
-        raise ConfigInvalid("is no empty folder", where=str(folder), hint=hint)
+    require_new_folder(folder)
     rules = installed_rules().rules
     chosen = [
         fixture

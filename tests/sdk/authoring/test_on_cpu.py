@@ -189,3 +189,12 @@ def test_a_module_that_names_cuda_in_forward_is_exported(tmp_path: Path) -> None
     with on_cpu():
         module = OnAGpu()
     assert export(module, tmp_path / "m.onnx", verify="quick").parity.holds
+
+
+@pytest.mark.parametrize("owner", [torch, torch.cuda, torch.cuda.nvtx], ids=lambda o: o.__name__)
+def test_what_is_a_class_stays_one(owner: object) -> None:
+    """Torch's tracer asks what is an instance of torch.cuda.device, StreamContext and others."""
+    names = [name for name, value in vars(owner).items() if isinstance(value, type)]
+    assert names or owner is torch.cuda.nvtx
+    with on_cpu():
+        assert [name for name in names if not isinstance(getattr(owner, name), type)] == []

@@ -18,8 +18,7 @@ from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
 from gsgen.conformance.viewer_kit.row_cases import ROW_CASES
-from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.atomic_files import atomic_write, require_new_folder
 
 TOLERANCE: Final = {"pixel": 0.02, "share": 0.005, "mean": 0.001}
 """Largest difference of a channel, share of the pixels that may exceed it, and mean difference."""
@@ -52,11 +51,7 @@ def write_kit(folder: Path, draw: DrawFrames) -> Path:
     Raises:
         ConfigInvalid: The folder holds files or is a file.
     """
-    hint = "Name a folder that does not exist yet."
-    if folder.exists() and not folder.is_dir():
-        raise ConfigInvalid("is a file, expected a folder", where=str(folder), hint=hint)
-    if folder.exists() and any(folder.iterdir()):
-        raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
+    require_new_folder(folder)
     index_path = folder / "index.json"
     with atomic_write(index_path) as draft:
         for name in ("models", "expected"):

@@ -5,7 +5,7 @@ finds them faulty. It lets no fault pass that the rules GV003, GV005, GV006, GV0
 those of cells report, up to a sample of 16,384 suspected covariances of a run.
 """
 
-__all__ = ["look_faulty"]
+__all__ = ["live_count", "look_faulty"]
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def look_faulty(
         return False
     if rows.ndim != 2 or rows.shape[1] != ROW_LENGTH or rows.dtype.kind != "f":
         return True
-    live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
+    live = live_count(rows, count)
     if not 0 <= live <= len(rows):
         return True
     padding, part = rows[live:, OPACITY], rows[:live]
@@ -51,6 +51,12 @@ def look_faulty(
         or _do_rows_look_faulty(part, CULL_OPACITY)
         or (cells is not None and _do_cells_look_faulty(cells, live, per_cell))
     )
+
+
+def live_count(rows: np.ndarray, count: np.ndarray | None) -> int:
+    """Return the row count of a run as the model gives it; all rows if it gives no whole number."""
+    is_whole = count is not None and count.size and count.dtype.kind in "iu"
+    return int(count.reshape(-1)[0]) if count is not None and is_whole else len(rows)
 
 
 def _do_rows_look_faulty(rows: Float[np.ndarray, "n 10"], min_opacity: float) -> bool:

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.probing.row_screen import look_faulty
+from gsgen.contract.probing.row_screen import live_count, look_faulty
 from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
 from gsgen.contract.process.parent_watchdog import exit_with_parent
@@ -247,15 +247,10 @@ def _survey_outputs(
     known[f"{_FAULTY if files else 'survey '}{digest}"] = sample
     survey = None
     if rows is not None and rows.ndim:
-        survey = {"count": _live_count(rows, count), "capacity": len(rows)}
+        survey = {"count": live_count(rows, count), "capacity": len(rows)}
     facts = {"digest": digest, "outputs": files, "thin": True, "not_finite": not_finite}
     emit("sample", sample=sample, survey=survey, **facts)
     return sample
-
-
-def _live_count(rows: np.ndarray, count: np.ndarray | None) -> int:
-    is_count = count is not None and count.size and count.dtype.kind in "iu"
-    return int(count.reshape(-1)[0]) if count is not None and is_count else len(rows)
 
 
 def keep_outputs(

@@ -10,6 +10,7 @@ __all__ = [
     "refuse_itself",
     "refuse_missing_folder",
     "refuse_model",
+    "require_new_folder",
     "require_page",
     "similar_file_hint",
     "write_fault",
@@ -137,6 +138,19 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
         hint = f"Name another file, such as {path.with_suffix('.txt')}."
         message = f"ends in {MODEL_SUFFIX}, but the output is not a model"
         raise ConfigInvalid(message, where=str(path), hint=hint)
+
+
+def require_new_folder(folder: Path) -> None:
+    """Raise unless a folder does not exist, or is empty.
+
+    Raises:
+        ConfigInvalid: It holds files, or is a file.
+    """
+    hint = "Name a folder that does not exist yet."
+    if folder.exists() and not folder.is_dir():
+        raise ConfigInvalid("is a file, expected a folder", where=str(folder), hint=hint)
+    if folder.exists() and any(folder.iterdir()):
+        raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
 
 
 def require_page(path: Path, sources: Iterable[Path] = ()) -> None:
