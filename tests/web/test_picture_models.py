@@ -10,8 +10,8 @@ from PIL import Image
 
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
-from gsgen.reference_plugins.feed_forward import splatter_image_plugin
-from gsgen.reference_plugins.synthetic import write_splatter_image
+from gsgen.reference_plugins.feed_forward import lgm_plugin, splatter_image_plugin
+from gsgen.reference_plugins.synthetic import write_lgm, write_splatter_image
 from gsgen.runtime.playback.picture_inputs import picture_tracks
 from gsgen.runtime.playback.player import GeneratorPlayer
 from gsgen.runtime.scene.camera import Camera
@@ -53,6 +53,16 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
+@pytest.fixture(scope="module")
+def model_of_four(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that makes Gaussians of four pictures."""
+    folder = tmp_path_factory.mktemp("four")
+    path = folder / "four.onnx"
+    generator = lgm_plugin.build(write_lgm(folder / "run"), 32)
+    export(generator, path, target="webgpu", settings=Settings(level=Level.STATIC))
+    return path
+
+
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
     context = browser.new_context(viewport={"width": 300, "height": 400})
@@ -62,7 +72,7 @@ def page(browser: Any) -> Iterator[Any]:
     context.close()
 
 
-def decibels(page: Any, model: Path, picture: Path) -> float:
+def decibels(page: Any, model: Path, *pictures: Path) -> float:
     """Return the PSNR of the element's picture against the one that Python draws."""
     camera = page.evaluate(f"{_ELEMENT}.camera")
     width, height = camera["width"], camera["height"]
@@ -71,7 +81,7 @@ def decibels(page: Any, model: Path, picture: Path) -> float:
     lens = {name: camera[name] for name in ("fx", "fy", "cx", "cy", "width", "height", "near")}
     view = Camera(np.reshape(camera["view"], (4, 4)), **lens)
     with GeneratorPlayer(model, background=(0.0, 0.0, 0.0, 1.0)) as player:
-        (track,) = picture_tracks([str(picture)], None, [player.source])
+        (track,) = picture_tracks([*map(str, pictures)], None, [player.source])
         frame = player.render(view, values={track.input_name: track.values})
     assert frame.rgba is not None
     expected = frame.rgba[..., :3]
@@ -94,6 +104,18 @@ def test_a_page_draws_gaussians_of_picture_files_as_python_does(
         page.wait_for_function(f"{_ELEMENT}.state === 'loading'")
         page.wait_for_function(f"{_ELEMENT}.state === 'ready'")
         assert decibels(page, model, pictures[1]) >= _LEAST_DECIBELS
+
+
+def test_a_page_draws_gaussians_of_four_pictures_as_python_does(
+    page: Any, model_of_four: Path, pictures: list[Path], ort_folder: Path
+) -> None:
+    files = [*pictures, *reversed(pictures)]
+    server = ModelServer([model_of_four], ModelView(), ort=ort_folder, images=files)
+    with running(server) as address:
+        page.goto(address)
+        page.wait_for_function(f"{_ELEMENT}.report")
+        assert page.evaluate(f"{_ELEMENT}.report.errors") == []
+        assert decibels(page, model_of_four, *files) >= _LEAST_DECIBELS
 
 
 def test_without_pictures_the_page_asks_for_them(
