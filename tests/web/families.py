@@ -65,7 +65,8 @@ FAMILIES: Mapping[str, Family] = {
 def plugin_names() -> set[str]:
     """Return the plugins that export generators of Gaussians from checkpoints of a method."""
     names = {plugin.name for plugin in installed_plugins() if "image" not in plugin.inputs}
-    return names - {"static", "2dgs"}  # whose models have no inputs
+    # The models of the first two have no inputs; clips are made of frames, without a torch module.
+    return names - {"static", "2dgs", "sequence"}
 
 
 def family_generator(name: str, folder: Path) -> GaussianGenerator:

@@ -123,7 +123,7 @@ def test_outputs_are_told_from_inputs() -> None:
     } - OUTPUT_PARAMETERS
     assert inputs == {
         "baseline", "body", "cameras", "checkpoint", "config", "difix", "embeddings", "file",
-        "first", "flame", "flame_ids", "kit", "manifest", "model", "models", "motion", "network",
+        "first", "flame", "flame_ids", "frames", "kit", "manifest", "model", "models", "motion", "network",
         "neural", "ort", "path", "paths", "post", "scene", "scenes", "second", "source", "style",
         "three", "transform", "vae", "xfails",
     }  # fmt: skip

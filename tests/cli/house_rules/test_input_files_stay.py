@@ -19,6 +19,7 @@ OVERWRITING = [
     ("export html drift.onnx src.ply -o ./src.ply", "src.ply"),
     ("convert src.ply out.spz --histograms src.ply", "src.ply"),
     ("export static src.ply -o out.onnx --report src.ply", "src.ply"),
+    ("export sequence src.ply src.ply -o out.onnx --report src.ply", "src.ply"),
     ("render src.ply -o src.ply", "src.ply"),
     ("render d.png -o d.png", "d.png"),
     ("render src.ply d.png -o d.png", "d.png"),

@@ -20,7 +20,6 @@ from support.commands import shared
 # Shares of the largest wanted value: three times below what goldens are accepted with.
 MARGIN = 3
 ALLOWED = {"position": 2e-5, "opacity": 2e-5, "covariance": 5e-5, "color": 2e-5}
-ALLOWED_HALF = {"position": 1.5e-3, "opacity": 1.5e-3, "covariance": 3e-3, "color": 2e-3}
 
 
 def eager(generator: GaussianGenerator, *inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,11 +10,11 @@ __all__ = [
 ]  # fmt: skip
 
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import onnx
@@ -50,6 +50,7 @@ from gsgen.sdk.exporting.pipeline import (
     Dtype,
     Exported,
     ExportOptions,
+    GraphSource,
     Progress,
     check_contract,
     no_progress,
@@ -92,7 +93,7 @@ class ConstantRows:
         return "float16" if self.rows.dtype == np.float16 else "float32"
 
 
-class ConstantSource(ABC):
+class ConstantSource(GraphSource):
     """Base class of static scenes that can be packed as float32 or float16."""
 
     family: ClassVar[str | None] = None  # the manifest's word for the kind of generator
@@ -103,6 +104,10 @@ class ConstantSource(ABC):
 
         Without ``dtype``, the rows have the source's own; ``target`` may read one SH degree alone.
         """
+
+    def export(self, path: str | os.PathLike[str], **options: Any) -> Exported:
+        """Export the scene by :func:`export_constant`, which has the same options."""
+        return export_constant(self, path, **options)
 
 
 def export_constant(

@@ -6,6 +6,7 @@ __all__ = [
     "Dtype",
     "ExportOptions",
     "Exported",
+    "GraphSource",
     "Progress",
     "Stage",
     "StageClock",
@@ -15,6 +16,7 @@ __all__ = [
 ]
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -159,6 +161,25 @@ class Exported:
     float16_result: "Float16Result | Float16ImageResult | None" = None
     stages: tuple[Stage, ...] = ()
     folded: FoldedConstants | None = None
+
+
+class GraphSource(ABC):
+    """Base class of sources whose ONNX graph is written directly; torch is not needed."""
+
+    @abstractmethod
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        name: str | None = None,
+        dtype: Dtype | None = None,
+        capacity: int | None = None,
+        opset: int = OPSET,
+        target: str = "core",
+        settings: "Settings | None" = None,
+        progress: Progress = no_progress,
+    ) -> Exported:
+        """Write the generator; options are those of :func:`gsgen.sdk.export`."""
 
 
 def probes_of(

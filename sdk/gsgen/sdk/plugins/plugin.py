@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
     from gsgen.sdk.authoring.post_process import PostProcess
-    from gsgen.sdk.exporting.constant_generator import ConstantSource
+    from gsgen.sdk.exporting.pipeline import GraphSource
 
 _ENTRY_POINT_GROUP = "gsgen.generators"
 
 # Returns the module or scene to export; called with the options that its signature declares.
-Build = Callable[..., "GaussianGenerator | PostProcess | ConstantSource"]
+Build = Callable[..., "GaussianGenerator | PostProcess | GraphSource"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

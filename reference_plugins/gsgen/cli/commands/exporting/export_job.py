@@ -108,7 +108,7 @@ def _run_export_job(
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
-    from gsgen.sdk.exporting.constant_generator import ConstantSource, export_constant
+    from gsgen.sdk.exporting.pipeline import GraphSource
 
     # Options are checked before a slow step begins.
     request.refuse_splat_file()
@@ -124,11 +124,11 @@ def _run_export_job(
         "settings": settings,
         "progress": clock,
     }
-    # Case 1: a scene that does not change; torch may be absent.
-    if isinstance(module, ConstantSource):
+    # Case 1: a scene that does not change, or a clip; torch may be absent.
+    if isinstance(module, GraphSource):
         _refuse_pictures(request)
-        return export_constant(
-            module, request.output, dtype=request.dtype, capacity=request.capacity, **options
+        return module.export(
+            request.output, dtype=request.dtype, capacity=request.capacity, **options
         )
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.exporting.exporter import export

@@ -168,7 +168,8 @@ def with_common_options(
 
     def command(**values: Any) -> None:
         request = _request(**{key: values.pop(key) for key in _COMMON_PARAMETERS})
-        sources = [value for value in values.values() if isinstance(value, Path)]
+        listed = [value if isinstance(value, list) else [value] for value in values.values()]
+        sources = [value for part in listed for value in part if isinstance(value, Path)]
         refuse_itself(request.output, sources)
         if request.report is not None:
             refuse_itself(request.report, sources)

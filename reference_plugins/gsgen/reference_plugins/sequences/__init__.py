@@ -1,0 +1,1 @@
+"""How is a sequence of splat files exported, as a clip?"""

@@ -1,0 +1,45 @@
+"""Reads the frames of a sequence: splat files, in the order of their numbers."""
+
+__all__ = ["FrameFiles"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.formats import PackedRows
+from gsgen.formats.shared.origins import Origin
+from gsgen.reference_plugins.static.static import from_content
+from gsgen.runtime.sources.sequence_source import sequence_files
+from gsgen.sdk.exporting.constant_generator import ConstantRows
+from gsgen.tiles.loading.leaves import open_splats
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFiles:
+    """The files of a sequence in order; all positions are relative to one origin."""
+
+    paths: tuple[Path, ...]
+    origin: Origin | None = None
+
+    @classmethod
+    def of(cls, entries: Sequence[Path]) -> "FrameFiles":
+        """Return the files that a folder, a pattern or a list of files names.
+
+        Raises:
+            ConfigInvalid: A folder holds no sequence.
+        """
+        paths: list[Path] = []
+        for entry in entries:
+            files = sequence_files(entry)
+            if entry.is_dir() and not files:
+                message = "is not a folder of two or more numbered splat files of one kind"
+                hint = "Name the files in order, or a pattern such as frames/%04d.ply."
+                raise ConfigInvalid(message, where=str(entry), hint=hint)
+            paths += files or [entry]
+        first = open_splats(paths[0])
+        return cls(tuple(paths), None if isinstance(first, PackedRows) else first.origin)
+
+    def read(self, number: int) -> ConstantRows:
+        """Return the packed rows of a frame."""
+        return from_content(open_splats(self.paths[number], origin=self.origin))

@@ -1,0 +1,1 @@
+"""How does a sequence of frames, whose rows correspond, become one small generator (a clip)?"""

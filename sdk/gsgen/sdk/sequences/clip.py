@@ -1,0 +1,138 @@
+"""The parts of a clip: tables of bytes whose weighted sums are the values of a moment.
+
+Every value that changes with time is a sum over components, X(t) = Σ_r c_r(t) (T_r − 128), of a
+table T of bytes with one row per component and few coefficients c per moment.
+"""
+
+__all__ = ["DIGIT_ZERO", "Clip", "Palette", "RowGroup", "Table", "knot_weights"]
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+DIGIT_ZERO: Final = 128
+"""The byte of a table that stands for zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Values of ``planes`` columns and n rows at every moment, as a sum over R components.
+
+    Attributes:
+        digits: Bytes of each component, plane by plane, with 128 for zero.
+        coefficients: Weights of the components at each knot, or in one row if they are constant.
+        planes: Columns of the values.
+    """
+
+    digits: UInt8[np.ndarray, "r p*n"]
+    coefficients: Float32[np.ndarray, "k r"]
+    planes: int
+
+    def __len__(self) -> int:
+        return int(self.digits.shape[1]) // self.planes
+
+    @property
+    def nbytes(self) -> int:
+        """The bytes of the table and its coefficients."""
+        return self.digits.nbytes + self.coefficients.nbytes
+
+    def at(self, weights: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, "p n"]:
+        """Return the values in float64 for the weights of the knots."""
+        knots = self.coefficients.astype(np.float64)
+        coefficients = knots[0] if len(knots) == 1 else weights @ knots
+        values = np.zeros(self.digits.shape[1])
+        for coefficient, digits in zip(coefficients, self.digits, strict=True):
+            values += coefficient * (digits.astype(np.float64) - DIGIT_ZERO)
+        return values.reshape(self.planes, -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RowGroup:
+    """Gaussians of a clip that share the components of their motion.
+
+    Position is ``place`` + ``motion`` · size, factors are ``factors`` · size, where size is
+    exp(``size_step`` · (``size`` − 128)) times ``size_unit``.
+
+    Attributes:
+        rows: Row numbers of the source.
+        size: Bytes of the logarithm of each Gaussian's size.
+        size_unit: The size that the byte 128 stands for.
+        place: Mean centre, in local units; three planes.
+        motion: Offset from it in units of the size; None for Gaussians that stay in place.
+        factors: Cholesky factors in units of the size: l00 l10 l20 l11 l21 l22.
+        opacity: Opacity less ½, before it is clipped to [0, 1].
+        color: RGB, or the constant SH term of red, green and blue; three planes.
+    """
+
+    rows: Int64[np.ndarray, " n"]
+    size: UInt8[np.ndarray, " n"]
+    size_unit: float
+    place: Table
+    motion: Table | None
+    factors: Table
+    opacity: Table
+    color: Table
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Palette:
+    """The SH coefficients of a clip's rows but for the constant term, which do not change.
+
+    Attributes:
+        entries: Coefficients of each entry, coefficient-major; a plane for each.
+        labels: Entry of each row, in the order of the clip.
+    """
+
+    entries: Table
+    labels: Int64[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Clip:
+    """A sequence as tables.
+
+    Attributes:
+        groups: Its Gaussians, in the order of the rows.
+        palette: Their SH coefficients of degree 1 and higher; None without any.
+        space: Whether colours are SH or RGB.
+        frames: Number of frames of the source.
+        loop: Whether the end continues at the start.
+    """
+
+    groups: tuple[RowGroup, ...]
+    palette: Palette | None
+    space: Literal["sh", "rgb"]
+    frames: int
+    loop: bool
+
+    def __len__(self) -> int:
+        return sum(len(group) for group in self.groups)
+
+    @property
+    def channels(self) -> int:
+        """The columns of the appearance."""
+        return 3 + (0 if self.palette is None else self.palette.entries.planes)
+
+    @property
+    def rows(self) -> Int64[np.ndarray, " n"]:
+        """The row of the source of each Gaussian."""
+        return np.concatenate([group.rows for group in self.groups])
+
+
+SIZE_STEP: Final = 0.0866433976  # ln 2 / 8: eight steps double the size
+
+
+def knot_weights(time: float, frames: int, *, loop: bool) -> Float64[np.ndarray, " k"]:
+    """Return the weights of a clip's knots at a time in [0, 1], by linear interpolation.
+
+    Knot k is frame k, at k / ``frames``. A loop has one more, which is the first frame again;
+    without it the last frame lasts until the end.
+    """
+    last = frames if loop else frames - 1
+    place = min(time * frames, last)
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place - np.arange(last + 1))))

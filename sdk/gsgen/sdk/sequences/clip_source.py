@@ -1,0 +1,272 @@
+"""Exports a sequence of frames as one ONNX generator with the input ``time``."""
+
+__all__ = ["ClipSource", "FrameReader"]
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec import layout
+from gsgen.contract.spec.manifest import (
+    AppearanceOutput,
+    Bounds,
+    CountOutput,
+    GaussiansOutput,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Input,
+    Producer,
+    Space,
+    Tolerances,
+)
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.validation.settings import Settings
+from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
+from gsgen.sdk.exporting.constant_generator import ConstantRows
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    Exported,
+    ExportOptions,
+    GraphSource,
+    Progress,
+    check_contract,
+    no_progress,
+)
+from gsgen.sdk.model_runs import run_in_groups
+from gsgen.sdk.rewriting.model_io import save_model
+from gsgen.sdk.sequences.clip import Clip
+from gsgen.sdk.sequences.clip_graph import clip_model
+from gsgen.sdk.sequences.decoding import decode_moment
+from gsgen.sdk.sequences.encoding import ErrorBudget, encode_groups
+from gsgen.sdk.sequences.frame_store import FrameStore
+from gsgen.sdk.sequences.palettes import make_clip_palette
+
+FrameReader = Callable[[int], ConstantRows]
+"""Returns the packed rows of a frame."""
+
+_BOUNDS_MARGIN: Final = 0.01
+# Rounding of float32 sums over components, relative to the largest number of a column.
+_PARITY_TOLERANCE: Final = 2e-5
+_BASE_CHANNELS: Final = 3
+_COMPARED_TIMES: Final = (0.0, 0.37, 0.5, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipSource(GraphSource):
+    """Frames whose rows correspond: row i is the same Gaussian in each of them.
+
+    Attributes:
+        names: The names of the frames, for messages; two or more.
+        read: Reads a frame by its number.
+        fps: Frames a second at natural speed.
+        loop: Whether the end continues at the start.
+        budget: Errors that the encoded sequence may have.
+    """
+
+    names: Sequence[str]
+    read: FrameReader
+    fps: float | None = None
+    loop: bool = False
+    budget: ErrorBudget = field(default_factory=ErrorBudget)
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        name: str | None = None,
+        dtype: Dtype | None = None,
+        capacity: int | None = None,
+        opset: int = OPSET,
+        target: str = "core",
+        settings: Settings | None = None,
+        progress: Progress = no_progress,
+    ) -> Exported:
+        """Encode the frames, and write the generator; options are those of an export.
+
+        Raises:
+            ConfigInvalid: An option is not one of clips, or there are fewer than two frames.
+            GeneratorInvalid: The frames differ in their kind or in their number of rows.
+            ParityFailed: ONNX Runtime computes other values than the tables hold.
+            ExportRejected: The model breaks a rule.
+        """
+        if dtype == "float16":
+            message, hint = "clips are written in float32", "Leave the option out."
+            raise ConfigInvalid(message, where="--dtype", hint=hint)
+        if capacity is not None:
+            message, hint = "a clip has as many rows as a frame", "Leave the option out."
+            raise ConfigInvalid(message, where="--capacity", hint=hint)
+        path = Path(path)
+        options = ExportOptions(
+            path=path,
+            name=name or path.stem,
+            opset=opset,
+            target=target,
+            settings=settings,
+            progress=progress,
+        )
+        clip, manifest, notes = self._encode(options)
+        with atomic_write(path) as draft:
+            save_model(clip_model(clip, manifest, opset), draft)
+            progress("comparing the model with its tables")
+            _check_written_clip(draft, clip, manifest, options.limits)
+            report = check_contract(draft, options)
+        return Exported(
+            path=path,
+            manifest=manifest,
+            report=report,
+            dtype="float32",
+            contents=f"{clip.frames:,} frames of {len(clip):,} Gaussians",
+            notes=notes,
+        )
+
+    def _encode(self, options: ExportOptions) -> tuple[Clip, GeneratorManifest, tuple[str, ...]]:
+        """Read all frames, and return them as a clip, with its manifest and notes."""
+        if len(self.names) < 2:
+            message = f"has {len(self.names)} frame, expected two or more"
+            hint = f"`gsgen export static {self.names[0] if self.names else 'FILE'} -o …` writes a scene that does not change."
+            raise ConfigInvalid(message, where="FRAMES", hint=hint)
+        first = self.read(0)
+        notes = list(first.notes)
+        with closing(FrameStore(len(first.rows))) as store:
+            largest_change = 0.0
+            for number, frame_name in enumerate(self.names):
+                options.progress(f"reading frame {number + 1} of {len(self.names)}")
+                frame = first if number == 0 else self.read(number)
+                _require_equal_kind(frame, first, frame_name, self.names[0])
+                store.append(
+                    frame.rows.astype(np.float32),
+                    frame.appearance[:, :_BASE_CHANNELS].astype(np.float32),
+                )
+                if first.space == "sh":
+                    change = _higher_terms(frame) - _higher_terms(first)
+                    largest_change = max(largest_change, float(np.abs(change).max(initial=0.0)))
+            options.progress("encoding")
+            groups = encode_groups(store, self.budget, loop=self.loop)
+            rows = np.concatenate([group.rows for group in groups])
+            palette = make_clip_palette(_higher_terms(first), rows) if first.space == "sh" else None
+            if largest_change > self.budget.color:
+                notes.append(
+                    "SH coefficients beyond the constant term change by up to "
+                    f"{largest_change:.2g}; those of the first frame are stored"
+                )
+            clip = Clip(
+                groups=groups,
+                palette=palette,
+                space=first.space,
+                frames=store.frames,
+                loop=self.loop,
+            )
+            corners = np.stack([store.low, store.high])
+        return clip, self._manifest(clip, first, corners, options), tuple(notes)
+
+    def _manifest(
+        self,
+        clip: Clip,
+        first: ConstantRows,
+        corners: Float32[np.ndarray, "2 3"],
+        options: ExportOptions,
+    ) -> GeneratorManifest:
+        is_sh = clip.space == "sh"
+        fades = any(len(group.opacity.coefficients) > 1 for group in clip.groups)
+        return GeneratorManifest(
+            name=options.name,
+            family="4d",
+            producer=Producer(f"gsgen {version('gsgen')}"),
+            inputs=(
+                Input(
+                    name="time",
+                    role="time",
+                    shape=(1,),
+                    range=(0.0, 1.0),
+                    default=0.0,
+                    loop=self.loop or None,
+                    frames=clip.frames,
+                    fps=self.fps,
+                ),
+            ),
+            outputs=GeneratorOutputs(
+                GaussiansOutput("gaussians", len(clip), "float32"),
+                AppearanceOutput(
+                    "color_sh" if is_sh else "color_rgb",
+                    clip.space,
+                    degree_of(clip.channels // 3) if is_sh else None,
+                    first.color_space,
+                ),
+                CountOutput("num_points", "upper-bound" if fades else "exact"),
+            ),
+            space=Space(up=first.up, origin=first.origin),
+            bounds=Bounds.from_points(corners, _BOUNDS_MARGIN),
+            antialias=first.antialias,
+            tolerances=Tolerances(),
+        )
+
+
+def _higher_terms(frame: ConstantRows) -> Float32[np.ndarray, "n k"]:
+    """Return the SH coefficients beyond the constant term."""
+    return np.asarray(frame.appearance[:, _BASE_CHANNELS:], np.float32)
+
+
+def _require_equal_kind(
+    frame: ConstantRows, first: ConstantRows, name: str, first_name: str
+) -> None:
+    """Raise if a frame differs from the first one in what its numbers are."""
+    facts = [
+        {
+            "Gaussians": f"{len(entry.rows):,}",
+            "space": entry.space,
+            "channels": str(entry.appearance.shape[1]),
+            "color space": entry.color_space,
+            "antialias": entry.antialias,
+            "origin": str(entry.origin),
+        }
+        for entry in (frame, first)
+    ]
+    for key, actual in facts[0].items():
+        if actual != facts[1][key]:
+            message = f"{key}: {actual}, expected {facts[1][key]} as in {first_name}"
+            hint = "Frames of a sequence have equal rows: row i is the same Gaussian in each."
+            raise GeneratorInvalid(message, where=name, hint=hint)
+
+
+def _check_written_clip(
+    path: Path, clip: Clip, manifest: GeneratorManifest, limits: Limits
+) -> None:
+    """Run a model at some moments, and raise unless it computes what its tables hold."""
+    outputs = manifest.outputs
+    assert outputs.gaussians is not None
+    assert outputs.appearance is not None
+    names = [outputs.gaussians.name, outputs.appearance.name]
+    time_name = manifest.inputs[0].name
+    probes = [
+        Probe(label=f"time {time}", inputs={time_name: np.array([time], np.float32)})
+        for time in _COMPARED_TIMES
+    ]
+    frame_bytes = len(clip) * (layout.ROW_LENGTH + clip.channels) * 4
+
+    def failure(message: str, hint: str) -> ParityFailed:
+        return ParityFailed(
+            f"ONNX Runtime cannot run the model: {message}", where=path.name, hint=hint
+        )
+
+    limits = limits.for_model(path.stat().st_size + len(probes) * frame_bytes)
+    runs = run_in_groups(path, names, probes, limits, frame_bytes=frame_bytes, failure=failure)
+    for time, outputs_at_time in zip(_COMPARED_TIMES, runs, strict=True):
+        for name, expected in zip(names, decode_moment(clip, float(np.float32(time))), strict=True):
+            actual = outputs_at_time[name]
+            allowed = _PARITY_TOLERANCE * np.abs(expected).max(axis=0)
+            error = np.abs(actual - expected)
+            if actual.shape != expected.shape or not (error <= allowed).all():
+                message = f"output differs by {error.max():.3g} at time {time}"
+                raise ParityFailed(message, where=f"{path.name}, {name}")
