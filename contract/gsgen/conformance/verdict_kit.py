@@ -25,6 +25,21 @@ from gsgen.contract.spec.severity import Level
 
 SCHEMA: Final = "gsgen-verdicts/1"
 _MOST_BYTES: Final = 4 << 20  # of the inputs of a probe; larger ones are left out
+_README: Final = """# Verdict kit
+
+Models, and the rule of the contract of Gaussian Generators that each breaks. `index.json` has an entry for each of `models`:
+
+| field | what it says |
+|---|---|
+| `model` | The file. Files beside it belong to it; some are weights of gigabytes with holes, which static rules need not read. |
+| `target` | The target to validate for. |
+| `rule` | The rule that does not hold; `""`: all rules hold, those of levels above `values` too. |
+| `severity` | That of the rule for this target. The model is invalid if it is `error` and the finding is confirmed. |
+| `level` | The level that checks the rule: `static` reads the file, `values` runs it. |
+| `probes` | A JSON file: the inputs of each run at level `values`, `[{"label", "inputs": {NAME: {"dtype", "shape", "values"}}}]`, row-major. Absent: do not run the model. |
+
+Up to level `values`, a validator finds this rule and no other; rules that need it are not applicable. Limits on time and memory are the default ones. Probes with more than 4 MiB of inputs are left out, and so are the two runs that single rules add (statement V10).
+"""
 
 
 def write_verdicts(folder: Path, examples: Iterable[Fixture] | None = None) -> Path:
@@ -32,7 +47,8 @@ def write_verdicts(folder: Path, examples: Iterable[Fixture] | None = None) -> P
 
     ``models`` holds the models, ``probes`` one JSON file for each model that runs: its inputs at
     the probes of level ``values``, as numbers in row-major order. The index names for each model
-    the rule that it breaks, with the rule's severity and level; "" where it breaks none.
+    the rule that it breaks, with the rule's level and its severity for the model's target; "" where
+    it breaks none. ``README.md`` says so to readers who have the folder alone.
 
     Args:
         folder: A folder that does not exist, or is empty.
@@ -66,13 +82,16 @@ def write_verdicts(folder: Path, examples: Iterable[Fixture] | None = None) -> P
             }
             if fixture.rule:
                 rule = rules[fixture.rule]
-                entry |= {"severity": rule.severity.word, "level": rule.level.word}
+                changed = fixture.settings.target.severities
+                severity = changed.get(rule.id, rule.severity)
+                entry |= {"severity": severity.word, "level": rule.level.word}
             is_run = not fixture.rule or rules[fixture.rule].level is Level.VALUES
             if is_run and fixture.level >= Level.VALUES:
                 entry["probes"] = f"probes/{fixture.name}.json"
                 _write_json(draft.parent / entry["probes"], _probes(path, fixture))
             entries.append(entry)
         document = {"schema": SCHEMA, "gsgen": version("gsgen"), "models": entries}
+        (draft.parent / "README.md").write_text(_README, "utf-8")
         _write_json(draft, document)
     return index_path
 

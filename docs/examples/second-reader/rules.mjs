@@ -18,7 +18,8 @@ const MANIFEST = ['GM001', 'GM002', 'GM003'];
 /** A list of rules; `add` declares one.
  *
  * A rule of `kinds` needs a manifest that was read; one with `kinds: null` looks at the file alone.
- * `when` is asked with the target. `check` returns what is wrong, or nothing. */
+ * `when` is asked with the target. `check` returns what is wrong, or nothing:
+ * a text, or an object with it and the certainty of the finding (V14). */
 export class Rules {
   constructor(level) {
     this.level = level;
@@ -52,11 +53,12 @@ export class Rules {
         continue;
       }
       if (rule.kinds && !rule.kinds.includes(subject.manifest.kind)) continue;
-      const message = await rule.check(subject);
-      if (!message) continue;
+      const problem = await rule.check(subject);
+      if (!problem) continue;
+      const {message = problem, certainty = 'confirmed'} = problem;
       report.blocked.add(rule.id);
       const severity = target.severities[rule.id] ?? rule.severity;
-      report.findings.push({rule: rule.id, severity, message});
+      report.findings.push({rule: rule.id, severity, certainty, message});
     }
   }
 }

@@ -2,11 +2,14 @@
 
 import fs from 'node:fs';
 import path from 'node:path';
+import {setFlagsFromString} from 'node:v8';
 import {pathToFileURL} from 'node:url';
-import {DTYPE_NAME, half} from './onnx_file.mjs';
+import {half} from './onnx_file.mjs';
 
 /** Load ONNX Runtime Web from a folder; it runs on one thread of the CPU. */
 export async function startRuntime(folder) {
+  // Code for a few runs need not be optimised: that takes minutes, and node would wait for it.
+  setFlagsFromString('--liftoff-only');
   const ort = await import(pathToFileURL(path.resolve(folder, 'ort.webgpu.bundle.min.mjs')));
   ort.env.wasm.numThreads = 1;
   ort.env.wasm.wasmBinary = fs.readFileSync(path.join(folder, 'ort-wasm-simd-threaded.asyncify.wasm'));
@@ -87,10 +90,15 @@ export class Frame {
     return this.row(i).every(Number.isFinite) && (!this.colors || this.color(i).every(Number.isFinite));
   }
 
+  /** Whether a float16 row holds a value that was clamped: GV010 alone judges it (L9). */
+  saturated(i) {
+    return this.isHalf && this.row(i).some((n) => Math.abs(n) >= 65504);
+  }
+
   /** The rows that are drawn (I8): live, finite, and of an opacity of at least 1/255. */
   get drawn() {
     this.kept ??= Array.from({length: this.live}, (_, i) => i)
-      .filter((i) => this.row(i)[3] >= 1 / 255 && this.finite(i));
+      .filter((i) => this.row(i)[3] >= 1 / 255 && this.finite(i) && !this.saturated(i));
     return this.kept;
   }
 
@@ -120,5 +128,3 @@ export function semiDefinite(covariance, isHalf) {
   const slack = isHalf ? 2 ** -10 * trace + 3 * 2 ** -25 : 1e-5 * trace;
   return eigenvalues(covariance)[0] >= -slack;
 }
-
-export const dtypeName = (id) => DTYPE_NAME[id];

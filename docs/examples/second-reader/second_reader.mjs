@@ -35,7 +35,8 @@ async function validate(file, {target = 'core', probes, runtime}) {
   await STATIC.run(subject, report);
   const level = runtime && probes ? 'values' : 'static';
   if (level === 'values') await valueRules.run(subject, report);
-  const invalid = report.findings.some((finding) => finding.severity === 'error'); // V14
+  const invalid = report.findings.some((finding) => // V14
+    finding.severity === 'error' && finding.certainty === 'confirmed');
   return {verdict: invalid ? 'invalid' : 'conforms', level, findings: report.findings};
 }
 

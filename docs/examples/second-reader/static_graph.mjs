@@ -250,7 +250,7 @@ rule('GO019', 'error', {kinds: ['trajectory-predictor'], needs: ['GM004']}, (m) 
   return differ(history && shapeOf(m, history)[1] !== size, `the history has ${shapeOf(m, history ?? {})}`);
 });
 rule('GO017', 'warning', {kinds: ALL, needs: ['GM004', 'GO001', 'GO005', 'GO010', 'TV102']}, (m) => { // I17.4
-  const declared = Object.values(m.manifest.outputs).map((output) => output.name);
+  const declared = [...Object.values(m.manifest.outputs), ...m.manifest.inputs ?? []].map((part) => part.name);
   return m.graph.outputs.find(({name}) => !declared.includes(name))?.name;
 });
 

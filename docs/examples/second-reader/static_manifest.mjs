@@ -87,13 +87,11 @@ rule('GM002', 'error', {kinds: null, needs: ['GM001', 'GM003']}, (m) => { // M1,
   const twice = KEYS.find((key) => m.model.metadata.filter((entry) => entry.key === key).length > 1);
   return twice ? `${twice} is stored twice` : m.read.error;
 });
-rule('GM014', 'warning', {kinds: null}, (m) => { // I13.3
-  const graph = m.model.graph;
-  const parts = [graph, ...graph.nodes, ...graph.values, ...graph.inputs, ...graph.outputs,
-    ...graph.initializers];
-  const found = parts.flatMap((part) => part.metadata).find((entry) => entry.key.startsWith('gsgen.'));
-  return found && m.model.metadata.some((entry) => KEYS.includes(entry.key))
-    ? `${found.key} is in metadata below the model's` : undefined;
+rule('GM014', 'warning', {kinds: null, needs: ['GM001']}, (m) => { // I13.3
+  const {values, inputs: fed, outputs} = m.model.graph;
+  const found = [...values, ...fed, ...outputs].flatMap((value) => value.metadata)
+    .find(({key}) => key.startsWith('gsgen.'));
+  return found && `${found.key} is in the metadata of a value`;
 });
 rule('GM015', 'warning', {kinds: ALL}, (m) => (m.read.minor > 2 ? `version 1.${m.read.minor}` : undefined));
 rule('GM018', 'info', {kinds: ALL}, (m) => // M76
@@ -156,12 +154,15 @@ rule('GM013', 'info', {kinds: ALL}, (m) => { // M11, M12
   const id = '\\(*[A-Za-z0-9][A-Za-z0-9.:+-]*\\)*';
   const spdx = new RegExp(`^${id}( (AND|OR|WITH) ${id})*$`);
   if (license !== undefined && !spdx.test(license)) return `license: ${license}`;
-  return tool !== undefined && !/\S\s+\S*\d/.test(tool) ? `tool without a version: ${tool}` : undefined;
+  return tool !== undefined && !/\d/.test(tool) ? `tool without a version: ${tool}` : undefined;
 });
 rule('GM016', 'error', {}, (m) => { // M45, M72
   const known = new Set((m.manifest.inputs ?? []).flatMap((input) => [input.name, input.role]));
-  const key = Object.keys(m.manifest.depends_on ?? {}).find((name) => !known.has(name));
-  return key && `depends_on: ${key} is no input`;
+  const keys = Object.keys(m.manifest.depends_on ?? {}).filter((name) => !known.has(name));
+  if (!keys.length) return undefined;
+  // M45.5: a role that no input has is a remainder.
+  const isPossible = keys.every((name) => rolesOf(m.manifest.kind).includes(name));
+  return {message: `depends_on: ${keys[0]} is no input`, certainty: isPossible ? 'possible' : 'confirmed'};
 });
 rule('GM017', 'error', {}, (m) => { // W1, M35, M44
   const parts = [m.manifest.blend === 'wsr', !!m.manifest.weighted_sum, !!m.manifest.outputs.cells];

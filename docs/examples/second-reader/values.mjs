@@ -76,17 +76,17 @@ function ownProbes(m) {
   const probe = m.probes[1];
   const image = m.manifest.inputs?.find((input) => input.role === 'image')?.name;
   if (m.manifest.kind === 'post-process' && m.graph.inputs.get(image).shape?.slice(2).includes(null)) {
-    return [[7, 5], [9, 13]].map(([h, w]) => { // M58.2: odd sizes
+    return [[37, 53]].map(([h, w]) => { // V10
       const {dtype, shape: [, channels]} = probe.inputs[image];
       const [open, wide] = m.graph.inputs.get(image).shape.slice(2);
-      const shape = [1, channels, open ?? 8 * h + 1, wide ?? 8 * w + 1];
+      const shape = [1, channels, open ?? h, wide ?? w];
       const values = Array.from({length: shape.reduce((x, y) => x * y)}, (_, i) => (i % 255) / 255);
       return {label: `${shape}`, inputs: {...probe.inputs, [image]: {dtype, shape, values}}};
     });
   }
   const view = m.manifest.inputs?.find((input) => input.role === 'view')?.name;
   if (!view || !probe) return [];
-  // V10: the camera of the second probe, turned around: x and z of camera space are negated.
+  // V10: the camera of the second probe, turned around.
   const isRow = m.manifest.space?.matrix_order === 'row';
   const values = probe.inputs[view].values.map((value, i) => {
     const row = isRow ? i >> 2 : i & 3;
@@ -126,7 +126,7 @@ rule('GV054', 'error', {needs: [...COUNT, 'GO001', 'GO002', 'GI001', 'GM006']}, 
   return behind > 0 && front <= 0.1 * behind ? `${front} rows in front, ${behind} behind` : undefined;
 });
 rule('GV032', 'error', {needs: [...COUNT, 'GO004', 'GV054']}, (m) => // L19, I7
-  (m.everyFrame.some((frame) => frame.stored > 0) ? undefined : 'no row is live at any probe'));
+  (m.everyFrame.every((frame) => frame.stored === 0) ? 'no row is live at any probe' : undefined));
 rule('GV059', 'error', {needs: [...COUNT, 'GO001', 'GO002', 'GI001', 'GM006']}, (m) => { // C1.3
   const view = m.manifest.inputs?.find((input) => input.role === 'view')?.name;
   const [a, b] = m.frames;
@@ -170,7 +170,7 @@ rule('GO016', 'error', {needs: ROWS}, (m) => { // L3, L6
     const sigma = order.map((column) => row[column]);
     return [0, 3, 5].every((k) => sigma[k] >= 0) && semiDefinite(sigma, frame.isHalf);
   });
-  if (!rows.length || valid([4, 5, 6, 7, 8, 9]) > 0.5) return undefined;
+  if (rows.length < 16 || valid([4, 5, 6, 7, 8, 9]) > 0.5) return undefined;
   const order = Object.keys(ORDERS).find((name) => valid(ORDERS[name]) > 0.99);
   if (order) return order;
   const quaternion = [3, 6].find((at) => share((row) => // scales and a unit quaternion
@@ -225,23 +225,22 @@ rule('GV065', 'warning', {needs: [...ROWS, 'GM009', 'GM019']}, (m) => { // M10.4
   });
   return rows.length && bounds(m).diagonal > 100 * Math.hypot(...extents) ? 'the bounds are far too large' : undefined;
 });
-rule('GV004', 'warning', {needs: [...FIELDS, 'GV054']}, (m) => { // L20.2
+rule('GV004', 'warning', {needs: [...FIELDS, 'GV054']}, (m) => { // L20.3
   const all = m.frames.reduce((sum, frame) => sum + frame.live, 0);
   const seen = m.frames.reduce((sum, frame) => sum + live(frame).filter((i) => frame.row(i)[3] >= 1 / 255).length, 0);
-  const exact = (m.manifest.outputs.count?.semantics ?? 'exact') === 'exact';
-  return exact && seen < 0.1 * all ? `${seen} of ${all} rows are visible` : undefined;
+  return seen < 0.1 * all ? `${seen} of ${all} rows are visible` : undefined;
 });
 rule('GV018', 'error', {needs: [...FIELDS, 'GV032']}, (m) => anyRow(m, padding, (frame, i) => // L21.1
   frame.finite(i) && frame.row(i)[3] !== 0));
-rule('GV020', 'info', {needs: ROWS}, (m) => anyFrame(m, (frame) => { // L20.1
-  const seen = new Set(frame.drawn.map((i) => `${frame.row(i)} ${frame.colors && frame.color(i)}`));
+rule('GV020', 'info', {needs: ROWS}, (m) => anyFrame(m, (frame) => { // L20.4
+  const seen = new Set(frame.drawn.map((i) => frame.row(i).join()));
   const copies = frame.drawn.length - seen.size;
   return frame.drawn.length >= 16 && copies > 0.1 * frame.drawn.length ? `${copies} copies` : undefined;
 }));
 rule('GO012', 'info', {needs: [...ROWS, 'GO010', 'GO011']}, (m) => { // L22.1
   if (m.graph.dependencies(m.manifest.outputs.count.name).size) return undefined;
   const {stored, rows} = m.everyFrame[0];
-  return stored >= 0 && rows > Math.ceil(stored / 256) * 256 ? `${stored} of ${rows} rows` : undefined;
+  return stored > 0 && rows > Math.ceil(stored / 256) * 256 ? `${stored} of ${rows} rows` : undefined;
 });
 rule('GL006', 'warning', {needs: [...COUNT, 'GO001', 'GO002'], when: (_, name) => name === 'visionary'}, (m) => {
   const frame = m.frames.find(({stored, rows}) => stored < rows && rows % 256);
