@@ -28,7 +28,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[dict[str, Any]
         pytest.skip(message)
     index = write_verdicts(tmp_path_factory.mktemp("verdicts") / "kit")
     entries = json.loads(index.read_text("utf-8"))["models"]
-    command = ["node", READER / "second_reader.mjs", "--ort", cached_ort(), index]
+    command = ["node", *map(str, (READER / "second_reader.mjs", "--ort", cached_ort(), index))]
     result = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert result.returncode == 0, result.stderr
     reports = [json.loads(line) for line in result.stdout.splitlines()]
