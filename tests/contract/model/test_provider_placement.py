@@ -44,6 +44,8 @@ CAUSES = {
     "y = Sum (x, x)": "unknown",
     "y = LpNormalization (x)": "",
     "i = Cast <to = 7> (x) n = Neg (i) y = Cast <to = 1> (n)": "int64",
+    "y = Pow (x, one)": "int64",
+    "y = Pow (x, x)": "",
     "d = Cast <to = 11> (x) n = Neg (d) y = Cast <to = 1> (n)": "float64",
     "n = NonZero (x) f = Cast <to = 1> (n) y = ReduceSum <keepdims = 0> (f, one)": "shape",
     "i = Cast <to = 7> (x) y = Expand (x, i)": "shape",

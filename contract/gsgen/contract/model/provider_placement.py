@@ -20,7 +20,12 @@ from onnx import ModelProto, NodeProto, TensorProto
 
 from gsgen.contract.model.graph import Graph, names_read
 from gsgen.contract.model.model_file import small_array
-from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
+from gsgen.contract.spec.onnx_facts import (
+    CONTROL_FLOW,
+    KERNEL_TYPE_INPUT,
+    MAIN_DOMAIN,
+    RANDOM_OPERATORS,
+)
 from gsgen.contract.spec.operator_tables import GRAPH_CAPTURE, OperatorTable
 
 # Why a node is not captured. Each has one rule, so that one node makes one finding.
@@ -60,8 +65,6 @@ _NORM_OPERATORS = frozenset(
         "ReduceL2",
     }
 )
-# The argument whose dtype selects the kernel, where it is not the first.
-_KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +186,7 @@ def _placement_cause(
 
 
 def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
-    position = _KERNEL_ARGUMENT.get(node.op_type, 0)
+    position = KERNEL_TYPE_INPUT.get(node.op_type, 0)
     names = [*node.input[position : position + 1], *node.output[:1]]
     tensors = (graph.tensors.get(name) for name in names)
     return next((t.dtype for t in tensors if t is not None and t.dtype), "")

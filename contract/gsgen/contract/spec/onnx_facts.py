@@ -35,8 +35,9 @@ RANDOM_OPERATORS: Final = frozenset(
 # The IEEE floating-point element types that kernels compute with.
 FLOAT_TYPES: Final[tuple[int, ...]] = (TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.DOUBLE)
 
-# The input whose element type selects the kernel, where it is not the first one.
-KERNEL_TYPE_INPUT: Final = {"OneHot": 2, "Where": 1}
+# The input whose element type selects the kernel, where it is not the first one. Pow has a type of
+# its own for exponents, and 64-bit ones have no kernel on GPUs.
+KERNEL_TYPE_INPUT: Final = {"OneHot": 2, "Pow": 1, "Where": 1}
 
 # Bytes of weights that a model file may hold itself: protobuf refuses 2 GiB and more.
 INLINE_LIMIT: Final = 1_900_000_000

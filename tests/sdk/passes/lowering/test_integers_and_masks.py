@@ -40,6 +40,7 @@ INTEGER_BODIES = {
     "selection": ("b = Greater (i, three) r = Where (b, i, three)", "int64"),
     "joined": ("r = Concat <axis = 0> (i, list, i)", "int64"),
     "turned": ("t = Unsqueeze (i, axis) u = Transpose (t) r = Squeeze (u)", "int64"),
+    "power": ("r = Pow (x, three)", "float"),
     "largest": ("r = ReduceMax <keepdims = 1> (i)", "int64"),
 }
 

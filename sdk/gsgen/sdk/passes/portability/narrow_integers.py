@@ -18,7 +18,7 @@ _INT64, _INT32 = ir.DataType.INT64, ir.DataType.INT32
 _COMPUTED_INPUTS: dict[str, tuple[int, ...] | None] = {
     **dict.fromkeys(("Add", "Sub", "Mul", "Div", "Neg", "Abs", "Min", "Max", "Clip")),
     **dict.fromkeys(("Equal", "Less", "LessOrEqual", "Greater", "GreaterOrEqual")),
-    **dict.fromkeys(("Concat", "Mod", "Sign", "Identity", "Relu")),
+    **dict.fromkeys(("Concat", "Mod", "Pow", "Sign", "Identity", "Relu")),
     **dict.fromkeys(("Reshape", "Squeeze", "Unsqueeze", "Expand", "Tile", "Flatten"), (0,)),
     **dict.fromkeys(("Slice", "Gather", "GatherElements", "GatherND", "Transpose"), (0,)),
     **dict.fromkeys(("Split", "ReduceSum", "ReduceMax", "ReduceMin", "CumSum"), (0,)),
@@ -39,6 +39,7 @@ class NarrowIntegers(TableRewrite, SkippableRewrite):
     range analysis proves that its values fit, from weights and the declared ranges of inputs::
 
         1  Add(Cast<to int64>(x), 1: int64)   →   Cast<to int64>(Add(Cast<to int32>(x), 1: int32))
+           Pow(x: float, i: int64)            →   Pow(x: float, Cast<to int32>(i))
         2  ReduceSum(i: int32)                →   Cast<to int32>(ReduceSum(Cast<to float>(i)))
         3  Gather(t, Cast<to int64>(i))       →   Gather(t, i: int32)
 
