@@ -15,6 +15,7 @@ from trimesh.visual.material import PBRMaterial
 
 from gsgen.conformance.viewer_kit.write import kit_cases
 from gsgen.formats import write_ply, write_spz
+from gsgen.reference_plugins.images.synthetic_images import write_denoiser
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
@@ -124,7 +125,7 @@ Connections:  {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two splat files, three generators, a tileset, and meshes in each format."""
+    """Two splat files, three generators, a tileset, a denoiser, and meshes in each format."""
     folder = tmp_path_factory.mktemp("scene")
     write_ply(folder / "knot.ply", torus_knot(600, degree=1))
     write_spz(folder / "knot.spz", torus_knot(500, degree=1))
@@ -132,6 +133,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for case in kit_cases():
         if case.name in _GENERATORS:
             case.spec().write(folder / f"{case.name}.onnx")
+    checkpoint = write_denoiser(folder / "checkpoint", {"block_out_channels": [8, 8]})
+    denoiser = ("--checkpoint", checkpoint, "--size", "any", "-o", folder / "denoiser.onnx")
+    result = gsgen_here("export", "denoiser", *denoiser)
+    assert result.code == 0, result.err
     box = trimesh.creation.box((2, 2, 2))
     ball = trimesh.creation.icosphere(subdivisions=1)
     checkered(box.copy()).export(folder / "box.glb")
@@ -194,26 +199,30 @@ _TIMELINE: dict[str, Any] = {
             "translate": [0.5, 0, 0.3],
         }
     ],
+    "posts": ["denoiser.onnx"],
     "background": [0.1, 0.2, 0.3],
     "camera": {"keys": [{"at": 0, "value": _EYES[0]}, {"at": 2, "value": _EYES[1]}]},
     "fov": 40,
 }
 
 
-def test_a_scene_with_a_mesh_is_drawn_like_python(
+def test_a_scene_with_everything_is_drawn_like_python(
     page: Any, site: pages.WebSite, folder: Path, renderer: Renderer, tmp_path: Path
 ) -> None:
-    """At three times; see the pictures with --basetemp."""
+    """At three times, with the denoiser and without; see the pictures with --basetemp."""
     result = shown(site, _TIMELINE)
     assert result["errors"] == result["warnings"] == []
     results = []
-    for number, expected in enumerate(rendered(folder, _TIMELINE, renderer, frames=3)):
+    images = rendered(folder, _TIMELINE, renderer, frames=3)
+    plain = rendered(folder, _TIMELINE | {"posts": []}, renderer, frames=3)
+    assert max(map(decibels, images, plain)) < _WHOLE - 10
+    for number, expected in enumerate(images):
         actual = picture(page, float(number))
         save(tmp_path / f"{number}-page.png", actual)
         save(tmp_path / f"{number}-python.png", expected)
         results.append(decibels(actual, expected))
     assert min(results) >= _WHOLE, results
-    splats = {name: value for name, value in _TIMELINE.items() if name != "meshes"}
+    splats = {**_TIMELINE, "meshes": [], "posts": []}
     shown(site, splats)
     images = rendered(folder, splats, renderer, frames=3)
     results = [decibels(picture(page, float(i)), image) for i, image in enumerate(images)]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.runtime.playback.frame_sequence import FrameSequence
+from gsgen.runtime.playback.post_process import open_posts
 from gsgen.runtime.playback.scene_camera import scene_viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.sources.scene_file import open_scene, read_scene
@@ -25,15 +26,16 @@ def shown(site: WebSite, document: dict[str, Any]) -> Any:
           const scene = document.createElement("gsgen-scene");
           scene.src = `/scene.json?${Math.random()}`;
           document.body.append(scene);
-          await scene.ready.catch(() => {});
+          await scene.ready.then(() => scene._shown._opening, () => {});
           return { errors: scene.report.errors, warnings: scene.warnings, duration: scene.duration };
         }"""
     )
 
 
 def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
-    """Return what the element draws at a time: red, green, blue."""
+    """Return what comes of the element's picture at a time: red, green, blue."""
     script = """async ([seconds, width, height]) => {
+      const { readBuffer } = await import("/client/gpu_buffers.js");
       const scene = document.querySelector("gsgen-scene");
       scene.currentTime = seconds;
       const { _shown: shown } = scene;
@@ -49,7 +51,8 @@ def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
         } while (tilesets.some(({ loading }) => loading));
         shown.isStale = true; // the models were updated without the time
         await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
-        return renderer.readImage("color");
+        const { image } = await shown._process(renderer, camera, scene._look());
+        return readBuffer(shown.kernels.device, image, Float32Array, 4 * width * height);
       });
     }"""
     numbers = float32_result(page, script, [seconds, WIDTH, HEIGHT])
@@ -63,14 +66,19 @@ def rendered(
     path = folder / "scene.json"
     path.write_text(json.dumps(document), "utf-8")
     scene = read_scene(path)
-    sources = open_scene(scene, stream=open_stream)
+    sources, posts = open_scene(scene, stream=open_stream), open_posts(scene)
     view = scene_viewpoint([scene], None, WIDTH, HEIGHT, None, None)
     sequence = FrameSequence(
-        sources, view, background=scene.background or (0, 0, 0, 1), frames=frames, renderer=renderer
+        sources,
+        view,
+        background=scene.background or (0, 0, 0, 1),
+        frames=frames,
+        post=posts,
+        renderer=renderer,
     )
     images = [np.array(sequence.draw(number).rgba[..., :3]) for number in range(frames)]
-    for source in sources:
-        source.close()
+    for opened in (*sources, *posts):
+        opened.close()
     return images
 
 
