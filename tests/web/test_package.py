@@ -110,17 +110,22 @@ def test_a_server_imports_the_package(installed: Path) -> None:
 
 @pytest.fixture(scope="module")
 def built(installed: Path, models: dict[str, bytes], browser: Any) -> Iterator[tuple[Any, str]]:
-    """One build of three pages by Vite, served; and a page of the browser."""
+    """One build of three pages by Vite and one by webpack, served; and a page of the browser."""
     vite = package("frameworks") / "node_modules/vite/bin/vite.js"
-    result = run(installed, "node", str(vite), "build")
-    assert result.returncode == 0, result.stderr
+    for command in ([str(vite), "build"], ["webpack.js"]):
+        result = run(installed, "node", *command)
+        assert result.returncode == 0, result.stderr
     contents = dict(models)
-    for path in (installed / "dist").rglob("*"):
-        if path.is_file():
-            contents[f"/{path.relative_to(installed / 'dist').as_posix()}"] = path.read_bytes()
+    for folder in (installed / "dist", installed / "packed"):
+        for path in folder.rglob("*"):
+            if path.is_file():
+                contents[f"/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
     assert any(path.endswith(".wasm") for path in contents)
     assert any(path.startswith("/assets/plans") for path in contents)
-    with serving({}, contents) as address:
+    html = (installed / "plain.html").read_bytes()
+    contents["/packed.html"] = html.replace(b"./plain.js", b"./main.js")
+    # The build of webpack asks for them beside the page.
+    with serving({"ort": installed / "node_modules/gsgen/ort"}, contents) as address:
         context = browser.new_context(viewport={"width": 400, "height": 300})
         page = context.new_page()
         page.set_default_timeout(120_000)
@@ -144,10 +149,13 @@ def _all_ready(page: Any) -> list[list[str]]:
     )
 
 
-def test_a_built_page_shows_splats_and_a_generator(built: tuple[Any, str]) -> None:
+@pytest.mark.parametrize("bundler", ["plain", "packed"])
+def test_a_built_page_shows_splats_and_a_generator(bundler: str, built: tuple[Any, str]) -> None:
+    """Read by the worker that Vite or webpack packed."""
     page, address = built
-    page.goto(f"{address}/plain.html")
+    page.goto(f"{address}/{bundler}.html")
     assert _all_ready(page) == [[], []]
+    assert [worker.evaluate("modules.length") for worker in page.workers] == [8]
     assert page.evaluate("[loads, document.querySelector('gsgen-model').fieldOfView]") == [1, 30]
 
 

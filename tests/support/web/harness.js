@@ -11,7 +11,7 @@ import * as py from "/client/python.js";
 import { Renderer } from "/client/renderer.js";
 import { readInBackground } from "/client/file_reader.js";
 import { readRequest } from "/client/splat_files.js";
-import { SplatBuffers } from "/client/splat_buffers.js";
+import { SplatBuffers, paddedRows } from "/client/splat_buffers.js";
 import * as uniforms from "/client/uniforms.js";
 
 let opened = null;
@@ -69,13 +69,16 @@ export async function uniformsOf(cases) {
   ]);
 }
 
-function splatsOf({ rows, appearance, half, ...rest }) {
+/** Return splats in GPU memory. */
+function buffersOf(device, plans, { rows, appearance, half, count, ...facts }) {
+  const packed = new Float32Array(bytesOf(rows).buffer);
   const numbers = bytesOf(appearance).buffer;
-  return {
-    ...rest,
-    rows: new Float32Array(bytesOf(rows).buffer),
-    appearance: half ? new Uint16Array(numbers) : new Float32Array(numbers),
-  };
+  const dtype = half ? "float16" : "float32";
+  const buffers = new SplatBuffers(device, plans, { ...facts, count: packed.length / 10 }, dtype);
+  const colors = half ? new Uint16Array(numbers) : new Float32Array(numbers);
+  buffers.write(0, packed, paddedRows(colors, facts.channels, buffers.stride));
+  buffers.count = count;
+  return buffers;
 }
 
 /** Draw sets from cameras, and return the images with the counts of each. */
@@ -84,7 +87,7 @@ export async function draw({ sets, cameras, outputs, background, pairs }) {
   const renderer = new Renderer(kernels);
   if (pairs) renderer._pairs = pairs;
   const placed = sets.map(({ splats, ...rest }) => {
-    return { buffers: SplatBuffers.of(device, plans, splatsOf(splats)), ...rest };
+    return { buffers: buffersOf(device, plans, splats), ...rest };
   });
   renderer.setScene(placed);
   const frames = [];
@@ -253,7 +256,7 @@ export async function tilesetFrames(address, cameras, options) {
 export async function drawInSizes({ sets, cameras, sizes }) {
   const { plans, device, errors, kernels } = await opening();
   const placed = sets.map(({ splats, ...rest }) => {
-    return { buffers: SplatBuffers.of(device, plans, splatsOf(splats)), ...rest };
+    return { buffers: buffersOf(device, plans, splats), ...rest };
   });
   const renderer = new Renderer(kernels);
   renderer.setScene(placed);

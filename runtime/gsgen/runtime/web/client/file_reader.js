@@ -17,15 +17,20 @@ const readings = new Map();
 /** @type {Promise<Worker | null> | null} */
 let opening = null;
 let idleTimer = 0;
-/** @type {any} */
-let policy = null;
 let lastReading = 0;
 
-/** Return an address as a page with trusted types wants it; it allows the policy `gsgen`, or no worker. */
-function scriptOf(address) {
-  const { trustedTypes: types } = /** @type {any} */ (window);
-  policy ??= types?.createPolicy("gsgen", { createScriptURL: String });
-  return policy ? policy.createScriptURL(address) : address;
+/** The folder of the client, of which a bundle tells nothing: modules have other addresses in it. */
+const FOLDER = /^(https?:.*\/)file_reader\.js(\?.*)?$/.exec(import.meta.url)?.[1];
+/** @type {any} */
+let policy = null;
+
+/** Open the worker. A page with trusted types allows the policy `gsgen`, or no worker. */
+function newWorker() {
+  // Bundlers follow this expression as it is written, and pack the module into one file.
+  if (!FOLDER) return new Worker(new URL("./bundled_worker.js", import.meta.url), { type: "module" });
+  const address = `${FOLDER}reader_worker.js`;
+  policy ??= /** @type {any} */ (window).trustedTypes?.createPolicy("gsgen", { createScriptURL: String });
+  return new Worker(policy ? policy.createScriptURL(address) : address, { type: "module" });
 }
 
 /** Start the worker; null where its module cannot be loaded. @returns {Promise<Worker | null>} */
@@ -33,7 +38,7 @@ function openWorker() {
   return new Promise((resolve) => {
     let worker;
     try {
-      worker = new Worker(scriptOf(new URL("./reader_worker.js", import.meta.url)), { type: "module" });
+      worker = newWorker();
     } catch {
       resolve(null); // a page from disk, or a client of another origin
       return;

@@ -6,9 +6,7 @@
  */
 
 import { failing } from "./errors.js";
-import { mergedExtent } from "./framing.js";
-import { extentInBackground } from "./file_reader.js";
-import { SURVEY_CAMERA, surveyedValues, timeOf, upOf } from "./generator_inputs.js";
+import { surveyedExtent, timeOf, upOf } from "./generator_inputs.js";
 import { ModelSession } from "./model_session.js";
 import { readBuffer, storageBuffer } from "./gpu_buffers.js";
 import { encodePass } from "./host.js";
@@ -118,7 +116,7 @@ export class GeneratorModel {
     const model = new GeneratorModel(kernels, session, inspected.manifest);
     model.findings = inspected.findings;
     if (pictures.length) await model._takePictures(pictures, imageCameras, name);
-    await model._survey();
+    model.extent = await surveyedExtent(model, () => model._liveRows());
     return model;
   }
 
@@ -173,16 +171,6 @@ export class GeneratorModel {
     this._outputs = await this._session.run();
     this._hasRun = true;
     return this.buffers.bind(this._outputs);
-  }
-
-  /** Run some moments, and find a box around the Gaussians of all. */
-  async _survey() {
-    const boxes = [];
-    for (const values of surveyedValues(this.time)) {
-      await this.update(values, SURVEY_CAMERA);
-      boxes.push(await extentInBackground(await this._liveRows()));
-    }
-    this.extent = mergedExtent(boxes);
   }
 
   /** Read the live rows back; only before the first picture. */

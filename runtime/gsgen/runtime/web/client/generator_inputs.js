@@ -2,6 +2,8 @@
 
 import { eyeOf } from "./camera.js";
 import { GsgenError } from "./errors.js";
+import { extentInBackground } from "./file_reader.js";
+import { mergedExtent } from "./framing.js";
 import { storageBuffer } from "./gpu_buffers.js";
 import { IDENTITY, transposed4 } from "./matrices.js";
 
@@ -71,14 +73,22 @@ export function timeOf(inputs) {
 }
 
 /** The camera of generators that follow one, before there is any. */
-export const SURVEY_CAMERA = Object.freeze({
-  view: [...IDENTITY], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01,
-});
+const SURVEY_CAMERA = { view: [...IDENTITY], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01 };
 
-/** Return the values of the moments from which a model's extent is found. @param {ReturnType<typeof timeOf>} time */
-export function surveyedValues(time) {
-  const share = (moment) => time.low + ((time.high - time.low) * moment) / SURVEYED;
-  return time ? Array.from({ length: SURVEYED }, (_, moment) => ({ [time.name]: share(moment) })) : [{}];
+/**
+ * Run some moments of a generator, and return a box around the Gaussians of all.
+ * @param {any} model
+ * @param {() => any} liveRows Returns the rows of the last moment, and how many there are.
+ */
+export async function surveyedExtent(model, liveRows) {
+  const { time } = model;
+  const boxes = [];
+  for (let moment = 0; moment < (time ? SURVEYED : 1); moment++) {
+    const values = time ? { [time.name]: time.low + ((time.high - time.low) * moment) / SURVEYED } : {};
+    await model.update(values, SURVEY_CAMERA);
+    boxes.push(await extentInBackground(await liveRows()));
+  }
+  return mergedExtent(boxes);
 }
 
 /** Return the upward axis of a generator's space. */

@@ -1,7 +1,7 @@
 /** Reads splats in glTF files by KHR_gaussian_splatting: attributes, or SPZ in a buffer view. */
 
 import { failing } from "./errors.js";
-import { composed, linearPart, transposed4 } from "./matrices.js";
+import { composed, determinant, linearPart, rotationOf, transposed4 } from "./matrices.js";
 import { MOST_COEFFICIENTS, RowWriter, SH_C0, logit, setUnit, turn } from "./row_writer.js";
 import { unpackedSpz, writeSpz } from "./spz.js";
 
@@ -100,16 +100,10 @@ function isOfSplats({ extensions = {}, attributes = {} }) {
 /** Return the matrix of a node, row by row. */
 function localMatrix({ matrix, translation = [0, 0, 0], rotation = [0, 0, 0, 1], scale = [1, 1, 1] }, fail) {
   const [x, y, z, w] = rotation.map((part) => part / (Math.hypot(...rotation) || 1));
-  const turned = [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ];
+  const turned = rotationOf([w, x, y, z]);
   const rows = [0, 3, 6].flatMap((first, i) => [...scale.map((size, j) => size * turned[first + j]), translation[i]]);
   const result = matrix ? transposed4(matrix) : [...rows, 0, 0, 0, 1];
-  const [a, b, c, d, e, f, g, h, i] = linearPart(result);
-  const volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
-  if (!(volume > 0)) fail("has a node that mirrors or flattens, expected a scale above 0 along every axis");
+  if (!(determinant(linearPart(result)) > 0)) fail("has a node that mirrors or flattens, expected a scale above 0 along every axis");
   return result;
 }
 

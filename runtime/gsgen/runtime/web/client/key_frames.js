@@ -1,7 +1,7 @@
 /** Key frames: numbers that go from one value to the next, as scene files say when. */
 
 import { GsgenError } from "./errors.js";
-import { nearestWord } from "./words.js";
+import { hintAmong } from "./words.js";
 
 const INDICES = ["frame_index", "appearance_id"]; // roles of whole numbers
 
@@ -45,13 +45,16 @@ export function inputsAt(inputs, seconds, { inputs: specs }) {
   return [keyed, fixed];
 }
 
+/** Return the names of values that no input has, each with what helps. */
+export function unknownInputs(inputs, specs) {
+  const known = specs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
+  const unknown = Object.keys(inputs).filter((name) => !known.includes(name));
+  return unknown.map((name) => ({ name, hint: hintAmong(name, known) }));
+}
+
 /** Refuse values of inputs that a model lacks. */
 export function checkInputs(inputs, { inputs: specs }, where) {
-  const known = specs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
-  for (const name of Object.keys(inputs)) {
-    if (known.includes(name)) continue;
-    const nearest = nearestWord(name, known);
-    const hint = nearest ? `Is ${nearest} meant?` : `It has ${known.join(", ") || "none"}.`;
+  for (const { name, hint } of unknownInputs(inputs, specs)) {
     throw new GsgenError("is no input of the model", { where: `${where}.inputs.${name}`, hint });
   }
 }

@@ -93,7 +93,7 @@ export function relativeStretch(a) {
 /** Return the rotation nearest to an invertible 3×3 matrix: Q of A = Q S, which mirrors nothing. */
 export function nearestRotation(a) {
   const { vectors, lengths } = stretchesOf(a);
-  const isMirror = dot(a.slice(0, 3), cross(a.slice(3, 6), a.slice(6))) < 0;
+  const isMirror = determinant(a) < 0;
   const least = lengths.indexOf(Math.min(...lengths));
   const [x, y, z] = lengths.map((length, i) => (isMirror && i === least ? -1 : 1) / length);
   return product(product(product(a, vectors), [x, 0, 0, 0, y, 0, 0, 0, z]), transposed(vectors));
@@ -115,6 +115,20 @@ export function normalized(a) {
 /** Return a + s b. @param {number[]} a @param {number} s @param {number[]} b */
 export function plus(a, s, b) {
   return [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
+}
+
+/** Return the determinant of a 3×3 matrix: the volume of a unit cube that it maps. @param {Matrix} a */
+export function determinant(a) {
+  return dot(a.slice(0, 3), cross(a.slice(3, 6), a.slice(6)));
+}
+
+/** Return the rotation of a unit quaternion w, x, y, z. @param {number[]} quaternion */
+export function rotationOf([w, x, y, z]) {
+  return [
+    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+  ];
 }
 
 /** Return the rotation about a unit axis (Rodrigues' formula). @param {Matrix} axis */

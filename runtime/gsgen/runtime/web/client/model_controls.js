@@ -5,9 +5,10 @@ import { computedColor } from "./attributes.js";
 import { ControlListener } from "./controls.js";
 import { ElementView } from "./element_view.js";
 import { GsgenError } from "./errors.js";
+import { unknownInputs } from "./key_frames.js";
 import { OrbitCamera, orbitProblem } from "./orbit_camera.js";
 import { candidatesOf } from "./source_files.js";
-import { nearestWord, written } from "./words.js";
+import { written } from "./words.js";
 
 /** @typedef {import("./shown_model.js").ShownModel} ShownModel */
 
@@ -188,15 +189,8 @@ export class ModelControls extends AttributedElement {
 
   /** Tell which inputs the model lacks. */
   _checkInputs() {
-    if (!this._shown) return;
-    const { inputs } = this._shown;
-    const known = inputs.flatMap(({ name, role }) => [name, role]).filter(Boolean);
-    const names = inputs.map(({ name }) => name).join(", ");
-    for (const name of Object.keys(this._inputs)) {
-      if (known.includes(name)) continue;
-      const nearest = nearestWord(name, known);
-      const hint = nearest ? `is ${nearest} meant?` : names ? `it has ${names}` : "it has none";
-      this._complain(`inputs.${name}`, `is no input of the model; ${hint}`);
+    for (const { name, hint } of this._shown ? unknownInputs(this._inputs, this._shown.inputs) : []) {
+      this._complain(`inputs.${name}`, `is no input of the model. ${hint}`);
     }
   }
 

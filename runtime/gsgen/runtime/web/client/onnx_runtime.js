@@ -26,15 +26,15 @@ function addresses() {
     return [URL.createObjectURL(blob), null];
   }
   // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs. Bundlers follow
-  // these addresses, as each is written out.
+  // these addresses, as each is written out; webpack would refuse a folder that is not there.
   const own = HAS_JSPI
     ? [
-        new URL("./ort/ort.jspi.bundle.min.mjs", import.meta.url),
-        new URL("./ort/ort-wasm-simd-threaded.jspi.wasm", import.meta.url),
+        new URL(/* webpackIgnore: true */ "./ort/ort.jspi.bundle.min.mjs", import.meta.url),
+        new URL(/* webpackIgnore: true */ "./ort/ort-wasm-simd-threaded.jspi.wasm", import.meta.url),
       ]
     : [
-        new URL("./ort/ort.webgpu.bundle.min.mjs", import.meta.url),
-        new URL("./ort/ort-wasm-simd-threaded.asyncify.wasm", import.meta.url),
+        new URL(/* webpackIgnore: true */ "./ort/ort.webgpu.bundle.min.mjs", import.meta.url),
+        new URL(/* webpackIgnore: true */ "./ort/ort-wasm-simd-threaded.asyncify.wasm", import.meta.url),
       ];
   if (!ortSettings.folder) return own.map(String);
   const folder = new URL(ortSettings.folder.replace(/\/?$/, "/"), document.baseURI);

@@ -3,8 +3,8 @@
 import { turnTowards, viewOf } from "./camera.js";
 import { GsgenError } from "./errors.js";
 import { EASINGS, isKeyed } from "./key_frames.js";
-import { IDENTITY, product, solve } from "./matrices.js";
-import { nearestWord, written } from "./words.js";
+import { IDENTITY, linearPart, product, rotationOf, solve } from "./matrices.js";
+import { hintAmong, written } from "./words.js";
 
 const VERSION = "1"; // the major one
 const AXES = ["+x", "-x", "+y", "-y", "+z", "-z"];
@@ -15,33 +15,8 @@ const CAMERA_FORMS = "orbit:AZIMUTH,ELEVATION[,RADIUS] or look-at:EX,EY,EZ,TX,TY
 const ORBIT = { azimuth: 30, elevation: 20 };
 const LONGEST = 60; // letters of a value in a message
 
-/**
- * A model of a scene.
- * @typedef {object} SceneModel
- * @property {string} path Relative to the scene file.
- * @property {readonly number[]} transform Local → world, 4×4 row by row.
- * @property {number} opacity Factor of all opacities.
- * @property {number | null} degree No harmonics above this one.
- * @property {"classic" | "mip" | null} antialias
- * @property {{low: number[], high: number[]} | null} clip
- * @property {boolean} isSorted Whether weighted sums are not used.
- * @property {Record<string, any>} inputs Numbers, or key frames.
- * @property {boolean} isVisible
- * @property {string} where
- * @property {Record<string, any>} fields As they are written.
- */
-/**
- * A mesh of a scene.
- * @typedef {object} SceneMesh
- * @property {string} path Relative to the scene file.
- * @property {readonly number[]} transform Local → world, 4×4 row by row.
- * @property {"unlit" | "headlight" | null} shading Null for that of the file.
- * @property {number} opacity From 0 to 1.
- * @property {string | number | null} animation Name or number of a clip of the file.
- * @property {boolean} isVisible
- * @property {string} where
- * @property {Record<string, any>} fields As they are written.
- */
+/** What a scene file says of a model, and of a mesh. @typedef {ReturnType<typeof modelOf>} SceneModel */
+/** @typedef {ReturnType<typeof meshOf>} SceneMesh */
 /** @typedef {{position: number[], text: string, normal: number[] | null, camera: any}} SceneAnnotation The camera as an orbit. */
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
@@ -110,8 +85,7 @@ class Fields {
   close() {
     const unknown = Object.keys(this.document).find((name) => !this._known.includes(name));
     if (unknown === undefined) return;
-    const nearest = nearestWord(unknown, this._known);
-    const hint = nearest ? `Is ${nearest} meant?` : `It may have ${this._known.join(", ")}.`;
+    const hint = hintAmong(unknown, this._known, "It may have");
     throw new GsgenError(`unknown field ${written(unknown)}`, { where: this.where, hint });
   }
 }
@@ -152,7 +126,7 @@ export function readScene(document, name, warn) {
   return { models, meshes, posts, annotations, camera, background, up, fieldOfView, seconds, loop };
 }
 
-/** @param {Fields} fields @returns {SceneModel} */
+/** @param {Fields} fields Of a model: its place, how it is drawn, and values or key frames of its inputs. */
 function modelOf(fields) {
   const path = fields.required("path");
   const model = {
@@ -172,7 +146,7 @@ function modelOf(fields) {
   return model;
 }
 
-/** @param {Fields} fields @returns {SceneMesh} */
+/** @param {Fields} fields Of a mesh: its place, how it is drawn, and the clip that it plays. */
 function meshOf(fields) {
   const isName = (value) => isText(value) || (Number.isInteger(value) && value >= 0);
   const mesh = {
@@ -210,7 +184,7 @@ function transformOf(fields) {
   const matrix = fields.read("transform", isMatrix, "4×4 numbers");
   const isScale = (value) => isNumber(value) || isList(3)(value);
   const scale = fields.read("scale", isScale, "a number or 3 numbers");
-  const turn = rotationOf(fields);
+  const turn = turnOf(fields);
   const [x, y, z] = fields.read("translate", isList(3), "3 numbers") ?? [0, 0, 0];
   const steps = ["translate", "rotate", "scale"].filter((name) => fields.document[name] != null);
   if (matrix && steps.length) fields.refuse(steps[0], "excludes `transform`: leave one of them out");
@@ -218,15 +192,14 @@ function transformOf(fields) {
   const linear = product(turn, [sides[0], 0, 0, 0, sides[1], 0, 0, 0, sides[2]]);
   const [a, b, c, d, e, f, g, h, i] = linear;
   const transform = matrix?.flat() ?? [a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1];
-  const [p, q, r, , s, t, u, , v, w, m] = transform;
   const isWhole = [12, 13, 14, 15].every((place) => transform[place] === IDENTITY[place]);
-  const isInvertible = solve([p, q, r, s, t, u, v, w, m], [1, 1, 1]).every(Number.isFinite);
+  const isInvertible = solve(linearPart(transform), [1, 1, 1]).every(Number.isFinite);
   if (!isWhole || !isInvertible) fields.refuse(matrix ? "transform" : "scale", "is not an invertible affine transform");
   return transform;
 }
 
 /** Return a 3×3 rotation: of a quaternion w, x, y, z, or of an axis and degrees. */
-function rotationOf(fields) {
+function turnOf(fields) {
   const isTurn = (value) => isObject(value) || isList(4)(value);
   const value = fields.read("rotate", isTurn, '{"axis": [x, y, z], "degrees": d} or [w, x, y, z]') ?? [1, 0, 0, 0];
   let quaternion = value;
@@ -243,12 +216,7 @@ function rotationOf(fields) {
   }
   const length = Math.hypot(...quaternion);
   if (!length) fields.refuse("rotate", "is the quaternion 0 0 0 0, expected one with a length");
-  const [w, x, y, z] = quaternion.map((part) => part / length);
-  return [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ];
+  return rotationOf(quaternion.map((part) => part / length));
 }
 
 function clipOf(fields) {

@@ -30,7 +30,53 @@ export async function encodedCanvas(canvas, { type = "image/png", quality = unde
   return blob;
 }
 
-export class ShownModel {
+/** A model with its camera and its time. */
+export class PlacedModel {
+  /** @param {import("./model.js").Model} model @param {import("./source_files.js").SourceFile} file */
+  constructor(model, file) {
+    this.model = model;
+    this.file = file;
+    this.playback = model.time ? new Playback(model.time) : null;
+    this.orbit = new OrbitCamera(model.extent, model.up);
+    /** @type {import("./camera.js").Camera | null} The camera of the last frame. */
+    this.camera = null;
+    this.isStale = true; // the Gaussians are those of other inputs
+    this.isDestroyed = false;
+  }
+
+  get inputs() {
+    return this.model.inputs;
+  }
+
+  /** Take the camera of the present time, where a timeline has cameras. */
+  followTime() {
+    const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
+    if (place) this.orbit.move(place);
+  }
+
+  /** Return the camera of the orbit, around what has arrived. */
+  _framed(width, height) {
+    this.orbit.fit(this.model.extent);
+    return this.orbit.camera(width, height);
+  }
+
+  /** Compute the Gaussians of the present time; return whether the pages are others than before. */
+  async _update(camera, inputs) {
+    const { model, playback } = this;
+    const time = playback && model.time ? { [model.time.name]: playback.value } : {};
+    const isChanged = await model.update({ ...time, ...inputs }, camera);
+    if (!this.isDestroyed) this.isStale = false;
+    return isChanged;
+  }
+
+  /** The box around most centres: floating Gaussians far outside are left out. */
+  get boundingBox() {
+    const { center, half = [0, 0, 0] } = this.model.extent;
+    return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
+  }
+}
+
+export class ShownModel extends PlacedModel {
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {import("./model.js").Model} model
@@ -38,19 +84,12 @@ export class ShownModel {
    * @param {() => void} onStale Called when a frame has to be drawn again.
    */
   constructor(kernels, model, file, onStale) {
+    super(model, file);
     this.kernels = kernels;
     /** @type {"webgpu" | "webgl2"} */
     this.renderedBy = "webgpu";
-    this.model = model;
-    this.file = file;
     this.renderer = new Renderer(kernels, { onStale });
     this.renderer.setScene(model.sets);
-    this.playback = model.time ? new Playback(model.time) : null;
-    this.orbit = new OrbitCamera(model.extent, model.up);
-    /** @type {import("./camera.js").Camera | null} The camera of the last frame. */
-    this.camera = null;
-    this.isStale = true; // the Gaussians are those of other inputs
-    this.isDestroyed = false;
     this._governor = new Governor();
     this._doneAt = 0; // when the last frame was measured
     this._isReduced = false;
@@ -61,12 +100,6 @@ export class ShownModel {
     this._processed = null;
     this._stop = new AbortController();
     this._inTurn = inTurns(); // frames, and pictures between them
-  }
-
-  /** Take the camera of the present time, where a timeline has cameras. */
-  followTime() {
-    const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
-    if (place) this.orbit.move(place);
   }
 
   /** The inputs of the model, and of post-process models. */
@@ -97,12 +130,6 @@ export class ShownModel {
       }
     })();
     return this._opening;
-  }
-
-  /** Return the camera of the orbit, around what has arrived. */
-  _framed(width, height) {
-    this.orbit.fit(this.model.extent);
-    return this.orbit.camera(width, height);
   }
 
   /**
@@ -171,14 +198,10 @@ export class ShownModel {
   }
 
   async _drawWith(renderer, camera, look, { isWhole = false } = {}) {
-    const { model, playback } = this;
+    const { model } = this;
     if (this.isDestroyed) return;
-    if (this.isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: playback.value } : {};
-      if (await model.update({ ...time, ...look.inputs }, camera)) this.renderer.setScene(model.sets);
-      if (this.isDestroyed) return;
-      this.isStale = false;
-    }
+    if ((this.isStale || model.followsCamera) && (await this._update(camera, look.inputs))) this.renderer.setScene(model.sets);
+    if (this.isDestroyed) return;
     const [red, green, blue, alpha] = look.background;
     const sRgb = [red, green, blue];
     const light = model.buffers.isLinear ? sRgb.map(linearOf) : sRgb;
@@ -258,12 +281,6 @@ export class ShownModel {
       const normal = Math.hypot(a, b, c) > 0 ? normalized(times(transposed(linearPart(camera.view)), [a, b, c])) : null;
       return { point, normal };
     });
-  }
-
-  /** The box around most centres: floating Gaussians far outside are left out. */
-  get boundingBox() {
-    const { center, half = [0, 0, 0] } = this.model.extent;
-    return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
   }
 
   /** Release all GPU memory. */

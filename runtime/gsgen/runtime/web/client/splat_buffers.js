@@ -78,20 +78,10 @@ export class SplatBuffers {
     this.stride = storage.bytes / (dtype === "float16" ? 2 : 4); // numbers of appearance per row
   }
 
-  /** Return buffers with the rows of splats. @param {Splats} splats */
-  static of(device, plans, splats) {
-    const { rows, appearance, channels, count } = splats;
-    const dtype = appearance instanceof Uint16Array ? "float16" : "float32";
-    const buffers = new SplatBuffers(device, plans, { ...splats, count: rows.length / 10 }, dtype);
-    buffers.write(0, rows, paddedRows(appearance, channels, buffers.stride));
-    buffers.count = count;
-    return buffers;
-  }
-
   /**
    * Write rows from one on.
    * @param {Float32Array | null} rows
-   * @param {Float32Array | Uint16Array} appearance Filled up to whole vectors of four numbers.
+   * @param {Float32Array | Uint16Array | null} appearance Filled up to whole vectors of four numbers.
    */
   write(first, rows, appearance) {
     const { queue } = this._device;
@@ -99,7 +89,7 @@ export class SplatBuffers {
       queue.writeBuffer(buffer, offset, bytes, byteOffset, byteLength);
     };
     if (rows) copy(this._rows, ROW_BYTES * first, rows);
-    copy(this._appearance, this._bytes * first, appearance);
+    if (appearance) copy(this._appearance, this._bytes * first, appearance);
   }
 
   /** Release the buffers. */

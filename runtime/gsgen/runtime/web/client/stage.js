@@ -7,7 +7,7 @@
 import { download } from "./download.js";
 import { GsgenError } from "./errors.js";
 import { checkInputs, inputsAt, isKeyed, valueAt } from "./key_frames.js";
-import { IDENTITY, composed, dot, cross, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
+import { IDENTITY, composed, determinant, dot, inverted, linearPart, moved, nearestRotation, solve, times, transposed } from "./matrices.js";
 import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
 import { valueOfTime } from "./playback.js";
@@ -25,8 +25,7 @@ function worldOf({ model, transform }) {
 
 /** Return the geometric mean of the scales along the axes of a transform. */
 function meanScale(transform) {
-  const [a, b, c] = [0, 3, 6].map((first) => linearPart(transform).slice(first, first + 3));
-  return Math.cbrt(Math.abs(dot(a, cross(b, c))));
+  return Math.cbrt(Math.abs(determinant(linearPart(transform))));
 }
 
 /** Return a camera as a placed model sees it. A camera neither shears nor mirrors. */

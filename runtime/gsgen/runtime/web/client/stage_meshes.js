@@ -6,7 +6,7 @@ import { composed, transposed4 } from "./matrices.js";
 import { readMeshFile } from "./mesh_files.js";
 import { remembered } from "./once.js";
 import { placeEye } from "./three_modules.js";
-import { nearestWord } from "./words.js";
+import { hintAmong } from "./words.js";
 
 const GREY = 0.7; // of meshes without colours
 const AMBIENT = 0.2; // share of the light of a headlight that faces get from all sides
@@ -108,9 +108,7 @@ function clipOf({ animation, where, path }, clips) {
   if (animation === null) return null;
   const clip = typeof animation === "number" ? clips[animation] : clips.find(({ name }) => name === animation);
   if (clip) return clip;
-  const names = clips.map(({ name }) => name);
-  const nearest = nearestWord(String(animation), names);
-  const hint = nearest ? `Is ${nearest} meant?` : `It has ${names.join(", ") || "none"}.`;
+  const hint = hintAmong(String(animation), clips.map(({ name }) => name));
   throw new GsgenError(`is no animation of ${path}`, { where: `${where}.animation`, hint });
 }
 

@@ -5,7 +5,7 @@
  */
 
 import { eyeOf } from "./camera.js";
-import { cross, dot, linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
+import { determinant, linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
 
 const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, Infinity, Infinity] };
 
@@ -109,8 +109,7 @@ export function pageUniforms(plans, pages, camera) {
     if (!set.weighted) return;
     const { perCell, opacity_divisor: divisor, background, depth_range: range } = set.weighted;
     // The depth range is a length of the set's own space.
-    const volume = dot(linear.slice(0, 3), cross(linear.slice(3, 6), linear.slice(6)));
-    const inverse_range = range ? 1 / (range * Math.cbrt(Math.abs(volume))) : 0;
+    const inverse_range = range ? 1 / (range * Math.cbrt(Math.abs(determinant(linear)))) : 0;
     const first = { first_row: firstRow, first_gaussian: firstGaussian };
     const weights = { per_cell: perCell, inverse_range, inverse_divisor: 1 / divisor, behind: background };
     uniform.write({ ...first, ...weights }, index);

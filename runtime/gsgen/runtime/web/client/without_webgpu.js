@@ -1,19 +1,15 @@
 /** Models in browsers without WebGPU: three.js sorts and draws them by WebGL 2, for all elements of a page. */
 
 import { GsgenError, failing } from "./errors.js";
-import { extentInBackground } from "./file_reader.js";
-import { mergedExtent } from "./framing.js";
 import { generatorFrames } from "./frames.js";
-import { SURVEY_CAMERA, surveyedValues } from "./generator_inputs.js";
-import { IDENTITY, linearPart, times } from "./matrices.js";
+import { surveyedExtent } from "./generator_inputs.js";
+import { IDENTITY } from "./matrices.js";
 import { memoryDevice, numbersOf } from "./memory_device.js";
 import { arraysOf, mergeSets } from "./merged_sets.js";
 import { openModel } from "./model.js";
 import { inTurns, once } from "./once.js";
-import { OrbitCamera } from "./orbit_camera.js";
-import { Playback } from "./playback.js";
 import { sharedPlans } from "./shared.js";
-import { encodedCanvas } from "./shown_model.js";
+import { PlacedModel, encodedCanvas } from "./shown_model.js";
 import { SplatBuffers, paddedRows } from "./splat_buffers.js";
 import { ThreeGaussians, loadThree } from "./three_adapter.js";
 import { placeEye } from "./three_modules.js";
@@ -67,7 +63,8 @@ class FramesModel {
       failing(name, "Take a browser with WebGPU.")("is computed from pictures, which needs WebGPU");
     }
     const model = new FramesModel(kernels, frames);
-    await model._survey();
+    const { buffers } = model;
+    model.extent = await surveyedExtent(model, () => ({ rows: numbersOf(buffers.pages[0].rows), count: buffers.count }));
     return model;
   }
 
@@ -76,7 +73,6 @@ class FramesModel {
     const { capacity: count, channels, run, destroy, ...described } = frames;
     Object.assign(this, described);
     this._frames = frames;
-    this._device = device;
     this._channels = channels;
     this.buffers = new SplatBuffers(device, plans, { ...frames, count });
     this.sets = [{ buffers: this.buffers, transform: frames.transform }];
@@ -87,26 +83,12 @@ class FramesModel {
 
   /** Compute the Gaussians of a frame. */
   async update(values, camera) {
-    const { buffers, _device: { queue } } = this;
+    const { buffers } = this;
     const { rows, appearance, live } = await this._frames.run(values, camera);
-    const write = (buffer, { buffer: bytes, byteOffset, byteLength }) => queue.writeBuffer(buffer, 0, bytes, byteOffset, byteLength);
-    const [page] = buffers.pages;
-    write(page.rows, rows);
-    if (appearance !== this._appearance) write(page.appearance, paddedRows(appearance, this._channels, buffers.stride));
+    buffers.write(0, rows, appearance === this._appearance ? null : paddedRows(appearance, this._channels, buffers.stride));
     this._appearance = appearance;
     buffers.count = live;
     return false;
-  }
-
-  /** Run some moments, and find a box around the Gaussians of all. */
-  async _survey() {
-    const boxes = [];
-    for (const values of surveyedValues(this._frames.time)) {
-      await this.update(values, SURVEY_CAMERA);
-      boxes.push(await extentInBackground({ rows: numbersOf(this.buffers.pages[0].rows), count: this.buffers.count }));
-    }
-    const extent = mergedExtent(boxes);
-    this.extent = { ...extent, center: times(linearPart(this._frames.transform), extent.center) }; // which mirrors axes, at most
   }
 
   destroy() {
@@ -115,20 +97,13 @@ class FramesModel {
 }
 
 /** A model that three.js draws; elements use it as they use a `ShownModel`. */
-class ModelOfThree {
+class ModelOfThree extends PlacedModel {
   /** @param {import("./model.js").Model} model */
   constructor(shared, model, file) {
+    super(model, file);
     const { three, device } = shared;
     this.renderedBy = "webgl2";
     this.kernels = { device };
-    this.file = file;
-    this.model = model;
-    this.playback = model.time ? new Playback(model.time) : null;
-    this.orbit = new OrbitCamera(model.extent, model.up);
-    /** @type {import("./camera.js").Camera | null} */
-    this.camera = null;
-    this.isStale = true;
-    this.isDestroyed = false;
     this._shared = shared;
     this._scene = new three.Scene();
     this._eye = new three.PerspectiveCamera();
@@ -156,21 +131,20 @@ class ModelOfThree {
   /** Render into the shared canvas; return the camera. */
   async _render(width, height, { mode, background, inputs }) {
     if (mode !== "color") failing("mode")(`is ${mode}, expected color in a browser without WebGPU`);
-    const { model, playback, _shared: { three, renderer } } = this;
+    const { model, _shared: { three, renderer } } = this;
     if (this.isDestroyed) return null;
-    const camera = this.orbit.camera(width, height);
+    const camera = this._framed(width, height);
     if (this.isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: playback.value } : {};
-      await model.update({ ...time, ...inputs }, camera);
+      await this._update(camera, inputs);
       if (this.isDestroyed) return null;
-      [this.isStale, this._seen] = [false, ""];
+      this._seen = "";
     }
     this._fill(camera);
     const [red, green, blue, alpha] = background;
     const { isLinear } = model.buffers;
-    renderer.outputColorSpace = isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace;
-    const color = new three.Color().setRGB(red, green, blue, isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace);
-    renderer.setClearColor(color, alpha);
+    const space = isLinear ? three.SRGBColorSpace : three.LinearSRGBColorSpace;
+    renderer.outputColorSpace = space;
+    renderer.setClearColor(new three.Color().setRGB(red, green, blue, space), alpha);
     renderer.setSize(width, height, false);
     placeEye(this._eye, camera);
     this._gaussians?.sort();
@@ -209,16 +183,6 @@ class ModelOfThree {
     this._seen = seen;
   }
 
-  /** Take the camera of the present time, where a timeline has cameras. */
-  followTime() {
-    const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
-    if (place) this.orbit.move(place);
-  }
-
-  get inputs() {
-    return this.model.inputs;
-  }
-
   async usePosts(posts, _, onError) {
     if (posts.length) onError(new GsgenError("post-process models need WebGPU: the picture is plain"));
   }
@@ -253,11 +217,6 @@ class ModelOfThree {
   /** Surfaces are found by WebGPU alone. */
   async pick() {
     return null;
-  }
-
-  get boundingBox() {
-    const { center, half = [0, 0, 0] } = this.model.extent;
-    return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
   }
 
   destroy() {

@@ -15,6 +15,12 @@ export function nearestWord(word, words) {
   return known.sort((a, b) => a.edits - b.edits).find(({ edits }) => edits <= limit)?.each;
 }
 
+/** Return what helps where a word is none of some. @param {string[]} words */
+export function hintAmong(word, words, subject = "It has") {
+  const nearest = nearestWord(word, words);
+  return nearest ? `Is ${nearest} meant?` : `${subject} ${words.join(", ") || "none"}.`;
+}
+
 /** Return how many letters are inserted, removed or replaced at least (Levenshtein 1966). */
 function editsBetween(first, second) {
   let row = Array.from({ length: second.length + 1 }, (_, index) => index);
