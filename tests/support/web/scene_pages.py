@@ -35,7 +35,6 @@ def shown(site: WebSite, document: dict[str, Any]) -> Any:
 def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
     """Return what comes of the element's picture at a time: red, green, blue."""
     script = """async ([seconds, width, height]) => {
-      const { readBuffer } = await import("/client/gpu_buffers.js");
       const scene = document.querySelector("gsgen-scene");
       scene.currentTime = seconds;
       const { _shown: shown } = scene;
@@ -52,7 +51,8 @@ def picture(page: Any, seconds: float = 0.0) -> np.ndarray:
         shown.isStale = true; // the models were updated without the time
         await shown._drawWith(renderer, camera, scene._look(), { isWhole: true });
         const { image } = await shown._process(renderer, camera, scene._look());
-        return readBuffer(shown.kernels.device, image, Float32Array, 4 * width * height);
+        renderer.host.image = () => image; // what is read
+        return renderer.readImage("color");
       });
     }"""
     numbers = float32_result(page, script, [seconds, WIDTH, HEIGHT])
