@@ -268,7 +268,7 @@ export async function drawInSizes({ sets, cameras, sizes }) {
   };
   const counted = async (camera) => {
     labels = [];
-    await renderer._configure(camera, ["color"], 0);
+    await renderer.configure(camera, ["color"]);
     return labels.length;
   };
   const frames = [];

@@ -201,7 +201,7 @@ export class GsgenModel extends ModelControls {
     const sources = this._candidates().map(({ source }) => source);
     const isLonger = this._state === "failed" && sources.length > this._tried.length;
     if (sources[0] !== this._tried[0] || isLonger) this._sourceChanged();
-    this._requestFrame();
+    if (this._shown?.camera) this._annotations.place(this._shown.camera);
   }
 
   _sourceChanged() {
@@ -305,8 +305,11 @@ export class GsgenModel extends ModelControls {
     if (signal.aborted) return shown.destroy();
     if (!isPrepared) this._prepare(shown);
     const [width, height] = this._size();
-    // The last picture stays until this one is drawn.
-    const failure = width && height ? await shown.draw(width, height, this._look(shown)).then(() => null, (error) => error) : null;
+    cancelAnimationFrame(this._frameRequest);
+    [this._frameRequest, this._isMissed] = [0, false];
+    // The last picture stays until this one is drawn. A frame of rows that arrive may have shown all.
+    const isDrawn = shown === this._shown && (await shown.showsAll(width, height, this._look()));
+    const failure = width && height && !isDrawn ? await shown.draw(width, height, this._look(shown)).then(() => null, (error) => error) : null;
     if (failure) await pause(LOSS_DELAY);
     if (signal.aborted) return shown.destroy();
     if (shown !== this._shown) this._shown?.destroy();
@@ -320,7 +323,7 @@ export class GsgenModel extends ModelControls {
     if (failure) return this._fail(failure);
     this._present(this._look());
     this._succeed();
-    this._requestFrame();
+    if (this._isMissed || this.autoRotate || shown.playback?.paused === false) this._requestFrame();
     this._usePosts();
   }
 
@@ -328,9 +331,10 @@ export class GsgenModel extends ModelControls {
   async _usePosts() {
     const { _shown: shown } = this;
     const own = this._valueOf("posts").map((address) => ({ address, where: address, inputs: {} }));
-    await shown?.usePosts([...(shown.model.posts ?? []), ...own], this.target, ({ message, hint }) => {
+    const isOther = await shown?.usePosts([...(shown.model.posts ?? []), ...own], this.target, ({ message, hint }) => {
       this._complain("posts", [message, hint].filter(Boolean).join(" "));
     });
+    if (!isOther) return;
     this._checkInputs();
     this._requestFrame();
   }
@@ -338,11 +342,9 @@ export class GsgenModel extends ModelControls {
   /** Draw what begins to arrive, where nothing else is shown; its kernels are compiled meanwhile. */
   _begin(shown) {
     this._prepare(shown);
-    if (this._shown || this.poster) {
-      const [width, height] = this._size();
-      if (width && height) shown.draw(width, height, this._look(shown)).catch(() => {}); // drawn again when it is whole
-      return;
-    }
+    const [width, height] = this._size();
+    if (width && height) shown.compile(width, height, this._look(shown)).catch(() => {}); // frames tell it, too
+    if (this._shown || this.poster) return;
     [this._shown, this._isPartial] = [shown, true];
     this._requestFrame();
   }
@@ -390,6 +392,7 @@ export class GsgenModel extends ModelControls {
   // ----- Frames
 
   _requestFrame() {
+    if (!this._shown) this._isMissed = true; // by a model that is on its way
     if (this._frameRequest || !this._shown || !this._isVisible) return;
     clearTimeout(this._rest);
     this._frameRequest = requestAnimationFrame((now) => {
@@ -417,6 +420,8 @@ export class GsgenModel extends ModelControls {
       if (isFinal) await shown.drawFinal(width, height, look);
       else await shown.draw(width, height, look, isMoving ? this.minRenderScale : 1);
       if (this._shown === shown) this._present(look);
+      // Rows may arrive faster than they are drawn: frames of some of them do not queue up.
+      if (this._isPartial) await shown.kernels.device.queue.onSubmittedWorkDone();
     } catch (error) {
       await this._failFrame(error, shown);
     } finally {

@@ -64,7 +64,7 @@ export class Renderer {
    *     Image layers among the Gaussians, and what writes them.
    */
   async draw(camera, { outputs = ["color"], background = [0, 0, 0], layers = 0, encodeLayers } = {}) {
-    await this._configure(camera, outputs, layers);
+    await this.configure(camera, outputs, layers);
     const { device, host, plans } = this;
     const placed = this._placed();
     const write = (name, bytes) => device.queue.writeBuffer(host.input(name), 0, bytes);
@@ -100,7 +100,8 @@ export class Renderer {
     }
   }
 
-  async _configure(camera, outputs, layers) {
+  /** Compile the kernels and make the buffers of a frame, unless the last one has the same. */
+  async configure(camera, outputs, layers = 0) {
     const { width, height, kind, distortion } = camera;
     const lens = kind === "fisheye" ? "a fisheye" : distortion && "lens distortion";
     if (lens) failing("camera")(`${lens} is not drawn in pages`, "Draw it with `gsgen render`.");

@@ -93,8 +93,10 @@ export class ShownModel extends PlacedModel {
     this._governor = new Governor();
     this._doneAt = 0; // when the last frame was measured
     this._isReduced = false;
+    this._state = ""; // of the last frame
     /** @type {import("./post_process.js").Posts | null} */
     this._posts = null;
+    this._hasPosts = false; // or opens them
     this._opening = Promise.resolve();
     /** @type {import("./post_process.js").Picture | null} What comes of the last frame. */
     this._processed = null;
@@ -112,8 +114,11 @@ export class ShownModel extends PlacedModel {
    * @param {import("./post_process.js").Post[]} posts
    * @param {string} target Whose limits rules check.
    * @param {(error: GsgenError) => void} onError Told why there are none.
+   * @returns {Promise<boolean>} Whether there were or are any.
    */
   async usePosts(posts, target, onError) {
+    if (!posts.length && !this._hasPosts) return false;
+    this._hasPosts = posts.length > 0;
     this._stop.abort();
     const { signal } = (this._stop = new AbortController());
     this._onPostError = onError;
@@ -129,7 +134,24 @@ export class ShownModel extends PlacedModel {
         if (!signal.aborted) onError(error);
       }
     })();
-    return this._opening;
+    await this._opening;
+    return true;
+  }
+
+  /** Compile the kernels of a frame, so that those of few rows do not queue up. @param {Look} look */
+  async compile(width, height, look) {
+    return this._inTurn(() => this.renderer.configure(this._framed(width, height), [this._output(look)]));
+  }
+
+  /** What a frame shows of a file, as text. */
+  _stateOf(camera, { mode, background }) {
+    return JSON.stringify([camera, mode, background, this.model.buffers.count]);
+  }
+
+  /** Return whether the last frame shows all that has arrived of a file. @param {Look} look */
+  async showsAll(width, height, look) {
+    await this._inTurn(async () => {});
+    return this._state === this._stateOf(this._framed(width, height), look);
   }
 
   /**
@@ -208,9 +230,10 @@ export class ShownModel extends PlacedModel {
     const output = this._output(look);
     const options = { outputs: [output], background: light.map((part) => part * alpha), ...(await model.surfaces?.(camera, output)) };
     if (renderer !== this.renderer) renderer.setScene(model.sets);
+    const state = this._stateOf(camera, look);
     if (isWhole) await renderer.drawWhole(camera, options);
     else await renderer.draw(camera, options);
-    if (renderer === this.renderer) this.camera = camera;
+    if (renderer === this.renderer) [this.camera, this._state] = [camera, state];
   }
 
   _output({ mode }) {

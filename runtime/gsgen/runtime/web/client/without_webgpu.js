@@ -185,6 +185,7 @@ class ModelOfThree extends PlacedModel {
 
   async usePosts(posts, _, onError) {
     if (posts.length) onError(new GsgenError("post-process models need WebGPU: the picture is plain"));
+    return false;
   }
 
   isFinal() {
