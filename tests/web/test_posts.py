@@ -39,15 +39,15 @@ _ATTENDING = {"block_out_channels": [8, 8]}
 _LATENT = {"unet": _SMALL_UNET, "latent": True}
 _EXPORTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     "stylise": ("stylise", {"channels": 4, "blocks": 1}, ["--size", "any"]),
-    "stylise-tiles": ("stylise", {"channels": 4, "blocks": 1}, ["--size", "17x25", "--no-slider"]),
-    "stylise-larger": ("stylise", {"channels": 4, "blocks": 0}, ["--size", "36x30"]),
+    "stylise-tiles": ("stylise", {"channels": 4, "blocks": 1}, ["--size", "25x17", "--no-slider"]),
+    "stylise-larger": ("stylise", {"channels": 4, "blocks": 0}, ["--size", "30x36"]),
     "denoiser": ("denoiser", {"unet": _ATTENDING}, ["--size", "any"]),
     "denoiser-unit": (
         "denoiser",
         {"unet": _SMALL_UNET},
-        ["--size", "28x40", "--timestep-input", "--values", "unit"],
+        ["--size", "40x28", "--timestep-input", "--values", "unit"],
     ),
-    "denoiser-latent": ("denoiser", _LATENT, ["--size", "28x40", "--result", "network"]),
+    "denoiser-latent": ("denoiser", _LATENT, ["--size", "40x28", "--result", "network"]),
 }
 """The plugin, the options of its checkpoint and of its export."""
 

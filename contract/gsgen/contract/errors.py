@@ -35,9 +35,10 @@ __all__ = [
     "ManifestInvalid",
     "ModelUnreadable",
     "UnknownName",
+    "names_meant",
 ]
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import ClassVar, Self
 
@@ -133,19 +134,46 @@ class LayoutMismatch(GsgenError):
     """Raised if arrays do not have the shapes or dtypes of the contract's packed layout."""
 
 
+def names_meant(word: str, words: Mapping[str, str]) -> list[str]:
+    """Return the names that people mean by another word: by meaning, not by letters.
+
+    Args:
+        word: What was typed; case, ``_`` for ``-`` and leading hyphens do not matter.
+        words: Name → the other words for it, separated by spaces.
+    """
+    typed = word.lstrip("-").replace("_", "-").casefold()
+    return [name for name, others in words.items() if typed in (name.lstrip("-"), *others.split())]
+
+
 class UnknownName(ConfigInvalid):
     """Raised if no rule, target runtime, input role or plugin has the given name."""
 
     @classmethod
-    def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":
-        """Return the error for an unknown name, with the most similar known name as a hint."""
+    def among(
+        cls,
+        noun: str,
+        name: str,
+        known: Iterable[str],
+        where: str = "",
+        words: Mapping[str, str] | None = None,
+    ) -> "UnknownName":
+        """Return the error for an unknown name, whose hint says which known name was meant.
+
+        Args:
+            noun: What the name is of.
+            name: The unknown name.
+            known: The known names.
+            where: Location of the name.
+            words: Known name → other words for it, which count before similar letters do.
+        """
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)
-        close_matches = get_close_matches(name, names, n=1, cutoff=0.5)
+        meant = names_meant(name, dict.fromkeys(names, "") | dict(words or {}))
+        matches = meant or get_close_matches(name, names, n=1, cutoff=0.5)
         is_short_list = len(names) <= _MAX_LISTED_NAMES
         nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
         examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."
         known_text = f"Known: {', '.join(names) or 'none'}." if is_short_list else examples_text
-        hint = f"Did you mean {close_matches[0]!r}?" if close_matches else known_text
+        hint = f"Did you mean {' or '.join(map(repr, matches))}?" if matches else known_text
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -108,7 +108,7 @@ def _notes_printed() -> Iterator[None]:
 def _dispatch_command(arguments: list[str]) -> None:
     """Answer from data where no command runs; else run the command that the arguments name."""
     if "_GSGEN_COMPLETE" not in os.environ:  # a shell does not ask for completions
-        if arguments[:1] == ["--version"]:
+        if arguments[:1] in (["--version"], ["-V"], ["-v"]):
             from gsgen import __version__
 
             print(f"gsgen {__version__}")

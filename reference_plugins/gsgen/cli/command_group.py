@@ -1,20 +1,24 @@
 """The typer program behind `gsgen`: a group of commands that imports only the one that runs."""
 
 __all__ = [
-    "PASS_THROUGH_SETTINGS", "CommandEndedEarly", "build", "click_command", "refusing", "runnable",
+    "PASS_THROUGH_SETTINGS", "CommandEndedEarly", "SubcommandGroup", "build", "click_command", "refusing", "runnable",
     "usable_command", "with_fetched_inputs",
 ]  # fmt: skip
 
 import functools
 import os
+import re
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from gsgen.cli.command_table import Command, find_command, panels
+from gsgen.cli.command_table import Command, calls_meant, find_command, panels
+from gsgen.cli.option_words import explain_option, with_known_values
 from gsgen.cli.options import OPTION_ORDER
 from gsgen.contract._entry_points import (
     Extension,
@@ -27,6 +31,8 @@ from gsgen.contract.errors import ExitCode, UnknownName
 
 # A command that only reports why it cannot run accepts all arguments.
 PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+_RULE_ID: Final = re.compile(r"G[A-Z]\d{3}")
 
 
 def build() -> typer.Typer:
@@ -68,7 +74,7 @@ class _CommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first argument names; raise for an unknown name."""
         if not args[0].startswith("-") and find_command(args[0]) is None:
-            raise _unknown_command(args[0], self.list_commands(ctx))
+            raise _unknown_command(args, self.list_commands(ctx))
         return super().resolve_command(ctx, args)
 
     def make_context(
@@ -92,12 +98,24 @@ class _CommandGroup(TyperGroup):
             raise CommandEndedEarly(ctx.invoked_subcommand or "") from error
 
 
+class SubcommandGroup(TyperGroup):
+    """A group of commands below one of gsgen's, such as tiles, whose errors name what was meant."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first argument names; raise for an unknown name."""
+        if not args[0].startswith("-") and args[0] not in self.commands:
+            raise _unknown_command(args, list(self.commands))
+        return super().resolve_command(ctx, args)
+
+
 @contextmanager
 def _printable_errors() -> Iterator[None]:
-    """Escape the messages of click's errors, which quote arguments such as names of files."""
+    """Escape the messages of click's errors, which quote arguments; name options that were meant."""
     try:
         yield
     except Exception as error:
+        if hasattr(error, "option_name") and getattr(error, "ctx", None) is not None:
+            explain_option(error)
         if hasattr(error, "format_message") and hasattr(error, "message"):
             error.message = printable(str(error.message), kept_chars="\n\t")
         raise
@@ -106,16 +124,11 @@ def _printable_errors() -> Iterator[None]:
 def click_command(command: Command) -> Any:
     """Import a command, and return it as a click command."""
     loaded_command, settings = runnable(command.code)
-    return usable_command(command.code, loaded_command, settings, cls=_OrderedCommand)
+    return usable_command(command.code, loaded_command, settings)
 
 
 def usable_command(
-    extension: Extension,
-    loaded: object,
-    settings: dict[str, Any],
-    *,
-    cls: type[TyperCommand] = TyperCommand,
-    help: str | None = None,
+    extension: Extension, loaded: object, settings: dict[str, Any], *, help: str | None = None
 ) -> Any:
     """Return the click command of a function or typer app, or one that says why it cannot run.
 
@@ -123,22 +136,19 @@ def usable_command(
         extension: Its name and entry point.
         loaded: The object that the extension names: a third party may register any.
         settings: Context settings of a function.
-        cls: The class of a function's command.
         help: The help of a function, in place of its docstring.
     """
     try:
         with plugin_exits_as_errors():
-            return _click_command(extension.name, loaded, settings, cls, help)
+            return _click_command(extension.name, loaded, settings, help)
     except Exception as error:  # typer refuses annotations that it does not know, for example
         reason = str(error) if isinstance(error, TypeError) else short_repr(error)
         message = f"`{extension.name}` ({extension.point.value}) is not a command: {reason}"
         function = refusing(ExtensionUnusable(message, f"Broken: {reason}", ExitCode.INTERNAL))
-        return _click_command(extension.name, function, PASS_THROUGH_SETTINGS, cls, None)
+        return _click_command(extension.name, function, PASS_THROUGH_SETTINGS, None)
 
 
-def _click_command(
-    name: str, loaded: Any, settings: dict[str, Any], cls: type[TyperCommand], help: str | None
-) -> Any:
+def _click_command(name: str, loaded: Any, settings: dict[str, Any], help: str | None) -> Any:
     app = typer.Typer(add_completion=False)
     if isinstance(loaded, typer.Typer):
         from gsgen.cli.option_panels import arrange_options
@@ -149,7 +159,7 @@ def _click_command(
         return with_fetched_inputs(group)
     if not callable(loaded):
         raise TypeError(f"{short_repr(loaded)}, expected a function or a typer.Typer")
-    app.command(name, cls=cls, help=help, context_settings=settings)(loaded)
+    app.command(name, cls=_OrderedCommand, help=help, context_settings=settings)(loaded)
     return with_fetched_inputs(typer.main.get_group(app).commands[name])
 
 
@@ -160,30 +170,38 @@ def with_fetched_inputs(command: Any) -> Any:
     if command.callback is not None and not hasattr(command, "commands"):
         # Only click's type of paths has this attribute.
         paths = {item.name for item in command.params if hasattr(item.type, "resolve_path")}
-        command.callback = _fetching(command.callback, paths)
+        texts = {item.name for item in command.params if getattr(item.type, "allow_dash", False)}
+        command.callback = _fetching(command.callback, paths, texts)
     return command
 
 
-def _fetching(run: Callable[..., Any], path_parameters: set[str]) -> Callable[..., Any]:
-    """Return a command's function that fetches its inputs before it runs."""
+def _fetching(
+    run: Callable[..., Any], path_parameters: set[str], text_outputs: set[str]
+) -> Callable[..., Any]:
+    """Return a command's function that fetches its inputs before it runs.
+
+    ``text_outputs`` are parameters for which ``-`` means standard output.
+    """
 
     @functools.wraps(run)
     def fetch_and_run(**values: Any) -> Any:
         if any(map(_may_be_remote, values.values())):
             from gsgen.cli.fetched_inputs import fetch_inputs
 
-            values = fetch_inputs(values, path_parameters)
+            values = fetch_inputs(values, path_parameters, text_outputs)
         return run(**values)
 
     return fetch_and_run
 
 
 def _may_be_remote(value: Any) -> bool:
-    """Return whether a text, or one of several, may be an address or the path of an archive."""
+    """Return whether a text, or one of several, may be an address, in an archive, or a pipe's."""
     if isinstance(value, list | tuple):
         return any(map(_may_be_remote, value))
-    is_text = isinstance(value, str | os.PathLike)
-    return is_text and (":/" in os.fspath(value) or os.fspath(value).lower().endswith(".zip"))
+    if not isinstance(value, str | os.PathLike):
+        return False
+    text = os.fspath(value)
+    return text == "-" or ":/" in text or ".zip" in text.lower()
 
 
 def runnable(extension: Extension) -> tuple[Any, dict[str, Any]]:
@@ -217,6 +235,12 @@ class _OrderedCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse command-line arguments, and record parameter names in the order typed."""
         typed_args = list(args)
+        try:
+            args = self._with_named_options(ctx, with_known_values(args))
+        except Exception as error:
+            if getattr(error, "ctx", ctx) is None:
+                error.ctx = ctx  # type: ignore[attr-defined]  # for explain_option
+            raise
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         try:
@@ -229,6 +253,34 @@ class _OrderedCommand(TyperCommand):
                 error.message = output_hint(self.name or "", typed_args, values)
             error.param = self._missing_argument(error.param, values)
             raise
+
+    def _with_named_options(self, ctx: Any, args: list[str]) -> list[str]:
+        """Return the arguments with ``--checkpoint`` or ``--output`` before a word that names such.
+
+        They may be left out where a command has no argument for the word. A command whose last
+        argument is TARGET takes ``--output`` in its place.
+        """
+        values, extra_words, _ = self.make_parser(ctx).parse_args(args=list(args))
+        names = {parameter.name for parameter in self.params}
+        arguments = [item.name for item in self.params if item.param_type_name == "argument"]
+        if arguments[-1:] == ["target"] and values.get("output"):
+            return [*args, values["output"]]
+        for name in ("checkpoint", "output"):
+            if len(extra_words) in (1, 2) and name in names and values.get(name) is None:
+                args, extra_words = self._with_named_option(ctx, args, extra_words, name)
+        return args
+
+    def _with_named_option(
+        self, ctx: Any, args: list[str], extra_words: list[str], name: str
+    ) -> tuple[list[str], list[str]]:
+        """Write ``--name`` before the first extra word, of those that are equal to it."""
+        word = extra_words[0]
+        for position in (index for index, entry in enumerate(args) if entry == word):
+            named_args = [f"--{name}", word, *args[:position], *args[position + 1 :]]
+            values, remaining_words, _ = self.make_parser(ctx).parse_args(args=list(named_args))
+            if values.get(name) == word and remaining_words == extra_words[1:]:
+                return named_args, remaining_words
+        return args, extra_words
 
     def _missing_argument(self, missing: Any, values: dict[str, Any]) -> Any:
         """Return the parameter that the user left out, for the one that click misses.
@@ -263,13 +315,29 @@ def _number_hint(message: str, parameter: Any) -> str:
     return f"{'' if message.endswith('.') else '.'} Give {noun}{lower_text}{'' if most is None else f' to {most:g}'}."
 
 
-def _unknown_command(name: str, commands: list[str]) -> UnknownName:
+def _unknown_command(typed_words: list[str], commands: list[str]) -> UnknownName:
+    """Return the error for an unknown command: its hint is the call that was meant."""
+    name, *arguments = typed_words
     error = UnknownName.among("command", name, commands)
-    if os.path.exists(name):
-        word = for_shell(name)
-        is_model_path = name.endswith((".onnx", ".json")) or os.path.isdir(name)
-        draw_hint = f"To draw the file, type `gsgen render {word} -o picture.png`."
+    word = for_shell(name)
+    if calls := calls_meant(name):
+        texts = [_call_text(call, arguments) for call in calls]
+        error.hint = f"Did you mean {' or '.join(texts)}?"
+    elif _RULE_ID.fullmatch(name.upper()):
+        error.hint = f"Did you mean `gsgen explain {name.upper()}`?"
+    elif os.path.exists(name):
+        from gsgen.formats.inputs import training_folder
+
+        is_model_path = name.endswith((".onnx", ".json")) or (
+            os.path.isdir(name) and training_folder(Path(name)) is None
+        )
+        draw_hint = f"To draw it, type `gsgen render {word} -o picture.png`."
         error.hint = (
             f"To validate it, type `gsgen validate {word}`." if is_model_path else draw_hint
         )
     return error
+
+
+def _call_text(call: str, arguments: list[str]) -> str:
+    words = [] if call.startswith("-") else arguments
+    return f"`{shlex.join(['gsgen', *call.split(), *words])}`"

@@ -1,14 +1,17 @@
 """The commands of the `gsgen` program as data: name, summary, module, and the extra they need."""
 
-__all__ = ["PANELS", "Command", "find_command", "panels"]
+__all__ = ["PANELS", "Command", "calls_meant", "find_command", "panels"]
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from typing import Final
 
 from gsgen.contract._entry_points import Extension, find_extensions
+from gsgen.contract.errors import names_meant
 
 _ENTRY_POINT_GROUP: Final = "gsgen.commands"
+_ROOT_OPTION_WORDS: Final = {"--version": "version", "--help": "usage commands"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,17 +22,31 @@ class Command:
         name: The word that users type after ``gsgen``.
         summary: The first paragraph of the command's help.
         code: The typer function, or the :class:`typer.Typer`.
+        words: Call, such as ``tiles serve`` → the words that people type for it, separated by
+            spaces; also words of neighbouring programs.
     """
 
     name: str
     summary: str
     code: Extension
+    words: Mapping[str, str] = field(default_factory=dict)
 
 
-def _make_command(name: str, summary: str, module_path: str) -> Command:
-    """Return a command of ours; ``module_path`` is its module and function below gsgen.cli.commands."""
+def _make_command(
+    name: str, summary: str, module_path: str, words: str = "", **words_by_suffix: str
+) -> Command:
+    """Return a command of ours.
+
+    Args:
+        name: The word that users type.
+        summary: The first paragraph of the command's help.
+        module_path: Its module and function below gsgen.cli.commands.
+        words: Other words for it.
+        words_by_suffix: Words for a subcommand or, after ``__``, for an option.
+    """
     point = EntryPoint(name, f"gsgen.cli.commands.{module_path}", _ENTRY_POINT_GROUP)
-    return Command(name, summary, Extension(name, point))
+    calls = {f"{name} {key.replace('__', '--')}": text for key, text in words_by_suffix.items()}
+    return Command(name, summary, Extension(name, point), {name: words} | calls)
 
 
 PANELS: Final[dict[str, tuple[Command, ...]]] = {
@@ -38,16 +55,19 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "samples",
             "Write sample files into DIR: a garden of splats, cameras, a generator and a motion for it.",
             "exporting.samples:samples",
+            "example examples demo demos quickstart tutorial sample start",
         ),
         _make_command(
             "doctor",
             "Show versions, drivers and adapters, and how to install missing parts.",
             "checking.doctor:doctor",
+            "env environment diagnose diagnostics system gpu gpus selftest setup versions devices",
         ),
         _make_command(
             "new",
             "Create a plugin package NAME: a method, its export command, and passing tests.",
             "exporting.new:new",
+            "init create scaffold template plugin project cookiecutter",
         ),
     ),
     "Export generators": (
@@ -55,26 +75,32 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "export",
             "Export a Gaussian Generator from your torch module, or from the files of a method.",
             "exporting.export:app",
+            "onnx to-onnx ns-export onnx-export build",
+            html="html page webpage website embed publish share",
         ),
         _make_command(
             "plugins",
             "List the installed plugins: method, model inputs, and the files that each reads.",
             "exporting.plugins:plugins",
+            "list ls methods models method train fit families supported available",
         ),
         _make_command(
             "fix",
             "Write a repaired copy of MODEL, and list the changes.",
             "exporting.fix:fix [sdk]",
+            "repair sanitize sanitise heal patch correct",
         ),
         _make_command(
             "rewrite",
             "Rewrite MODEL's graph for a target GPU, and verify that it computes the same outputs.",
             "exporting.rewrite:rewrite [sdk]",
+            "simplify optimize optimise onnxsim onnxslim surgeon polygraphy-surgeon lower",
         ),
         _make_command(
             "float16",
             "Write a float16 copy of MODEL; nodes whose rounding error is too large stay float32.",
             "exporting.float16:float16 [sdk]",
+            "fp16 half quantize quantise quantization float32 fp32 precision",
         ),
     ),
     "Check models": (
@@ -82,56 +108,68 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "validate",
             "Check whether the given ONNX models conform to the Gaussian Generator contract.",
             "checking.validate:validate",
+            "check lint verify test validator checker polygraphy judge conform",
+            __help="targets levels",
         ),
         _make_command(
             "inspect",
             "Show a model's inputs, outputs and manifest; its weights are not read.",
             "checking.inspect:inspect",
+            "info show describe summary summarize stats statistics netron print cat manifest metadata dump head",
         ),
         _make_command(
             "conformance",
             "Run conformance suites on each MODEL, and print a command that reproduces each failure.",
             "checking.conformance:conformance",
+            "suite suites certify",
         ),
         _make_command(
             "repro",
             "Check one rule of MODEL again, with one probe (set of test inputs) if that is enough.",
             "checking.repro:repro",
+            "reproduce reduce bisect debug",
         ),
         _make_command(
             "rules",
             "List every validation rule: id, severity, level, name and statement.",
             "checking.rules:rules",
+            "rule codes list-rules checks",
         ),
         _make_command(
             "explain",
             "Explain what the rule RULE requires, why, and how to repair a model that breaks it.",
             "checking.explain:explain",
+            "why doc docs what man error errors",
         ),
         _make_command(
             "diff",
             "Compare the declarations, the graphs and the outputs of two ONNX models.",
             "checking.diff:diff",
+            "compare comparison difference cmp delta",
         ),
         _make_command(
             "references",
             "Write a copy of MODEL with reference images, drawn by MODEL or by its training code.",
             "drawing.references:references [runtime]",
+            "reference golden goldens baseline",
         ),
         _make_command(
             "vectors",
             "Write test vectors of MODEL, and a copy of MODEL whose manifest lists them.",
             "checking.vectors:vectors",
+            "testdata test-data record test-vectors",
         ),
         _make_command(
             "viewer-kit",
             "Test a viewer: small models, expected pictures, and a verdict for each test.",
             "checking.viewer_kit:app",
+            "viewerkit kit viewer-test",
         ),
         _make_command(
             "card",
             "Write a model card of MODEL: description, inputs, a picture, and the validation verdict.",
             "checking.card:card",
+            "model-card modelcard readme hf-card",
         ),
     ),
     "Draw and measure": (
@@ -139,21 +177,26 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "render",
             "Draw SCENES: splat files and meshes, and generators, which run for every frame.",
             "drawing.render:render [runtime]",
+            "draw screenshot picture pic image snapshot video film movie animate ns-render thumbnail turntable png mp4 gif frame frames",
         ),
         _make_command(
             "view",
             "Show SCENES in a window: orbit around them, play their time, and save pictures.",
             "drawing.view:view [runtime]",
+            "viewer open display play gui window ns-viewer simple-viewer look watch preview interactive supersplat",
+            __web="serve web browser server host http online",
         ),
         _make_command(
             "bench",
             "Measure the time and memory of a frame of each MODEL on each execution provider.",
             "exporting.bench:bench",
+            "benchmark profile perf performance time timing speed fps onnxruntime-perf-test",
         ),
         _make_command(
             "bench-render",
             "Measure the time and the memory of a frame of SCENES, stage by stage.",
             "drawing.bench_render:bench_render [runtime]",
+            "benchmark-render profile-render",
         ),
     ),
     "Splat files and tilesets": (
@@ -161,16 +204,22 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "convert",
             "Write the splats of SOURCE to TARGET in another format, and print the losses.",
             "drawing.convert:convert",
+            "transform merge combine concat compress decompress pack unpack crop clip decimate prune clean filter rotate translate scale splat-transform ply spz sog splat glb gsbox",
+            __help="formats suffixes",
         ),
         _make_command(
             "bake",
             "Write frames of a generator as plain splat files, which every viewer reads.",
             "drawing.bake:bake",
+            "freeze unroll sequence flipbook frames-to-ply snapshot-ply",
         ),
         _make_command(
             "tiles",
             "Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
             "tiles.group:app",
+            "tileset",
+            build="tile tiling lod 3dtiles 3d-tiles octree stream streaming split",
+            serve="serve server host http",
         ),
     ),
 }
@@ -184,6 +233,13 @@ def find_command(name: str) -> Command | None:
     """
     own_commands = {command.name: command for commands in PANELS.values() for command in commands}
     return own_commands.get(name) or _extension_commands().get(name)
+
+
+def calls_meant(word: str) -> list[str]:
+    """Return the calls, such as ``tiles serve``, that people mean by a word that names no command."""
+    commands = [command for panel in panels().values() for command in panel]
+    words = {call: text for command in commands for call, text in command.words.items()}
+    return names_meant(word, words | _ROOT_OPTION_WORDS)
 
 
 def panels() -> dict[str, tuple[Command, ...]]:

@@ -24,6 +24,8 @@ OUTPUT_PARAMETERS: Final = frozenset(
 
 # Texts that hold the path of a file: SOURCE, FILE#CAMERA, [NAME=]FILE.
 _TEXT_PARAMETERS: Final = ("camera", "inputs", "pose", "sources", "tileset")
+# Parameters of models; splats are read from standard input by gsgen.formats.
+_MODEL_PARAMETERS: Final = ("first", "model", "models", "paths", "scenes", "second")
 _TILESET_PARAMETERS: Final = ("paths", "scene", "scenes", "sources", "tileset")
 _ADDRESS_TEXT: Final = re.compile(
     r"(?P<before>[\w.]*=)?(?P<address>[A-Za-z][A-Za-z0-9+.-]+:/.*?)(?P<after>#[^#/]*)?"
@@ -32,17 +34,27 @@ _ARCHIVE_SUFFIX: Final = ".zip"
 _MEGABYTE: Final = 1 << 20
 
 
-def fetch_inputs(values: dict[str, Any], path_parameters: set[str]) -> dict[str, Any]:
+def fetch_inputs(
+    values: dict[str, Any], path_parameters: set[str], text_outputs: set[str]
+) -> dict[str, Any]:
     """Return the arguments of a command with paths of copies in place of addresses and archives.
 
     Args:
         values: Parameter → its value.
         path_parameters: Parameters that are paths.
+        text_outputs: Parameters of outputs for which ``-`` is standard output.
 
     Raises:
         InputUnreadable: A file cannot be had; the subclass says why.
-        ConfigInvalid: An output is an address.
+        ConfigInvalid: An output is an address, or a standard output that takes no such file.
     """
+    for name in path_parameters & OUTPUT_PARAMETERS - text_outputs:
+        if str(values.get(name)) == "-":
+            raise ConfigInvalid(
+                "standard output takes text, expected the path of a file",
+                where="-",
+                hint="Name a file.",
+            )
     return {
         name: _map_texts(value, functools.partial(_local_text, name))
         if name in path_parameters or name in _TEXT_PARAMETERS
@@ -58,11 +70,13 @@ def _map_texts(value: Any, convert: Callable[[str], str]) -> Any:
 
 
 def _local_text(parameter: str, text: str) -> str:
-    """Return a parameter's text with the path of a copy in place of an address or archive."""
+    """Return a parameter's text with the path of a copy of an address, a member or a pipe."""
+    if text == "-":
+        return str(_copy_of_standard_input()) if parameter in _MODEL_PARAMETERS else text
     match = _ADDRESS_TEXT.fullmatch(text)
     if match is None:
-        is_archive = text.lower().endswith(_ARCHIVE_SUFFIX) and parameter not in OUTPUT_PARAMETERS
-        return _unpacked(text) if is_archive else text
+        is_packed = _ARCHIVE_SUFFIX in text.lower() and parameter not in OUTPUT_PARAMETERS
+        return _unpacked(text) if is_packed else text
     from gsgen.contract.inputs.addresses import address_of
 
     has_name = parameter in _TEXT_PARAMETERS
@@ -108,26 +122,43 @@ def _new_copy(address: str) -> Path:
     show_path_as(str(path), plain_address + ("?…" if has_query else ""))
     show_path_as(f"{path.parent}{os.sep}", folder_of(address))
     _copy_folders.append(path.parent)
-    return _without_archive(path)
+    return Path(_unpacked(str(path)))
 
 
-def _unpacked(archive: str) -> str:
-    return str(_without_archive(Path(archive)))
-
-
-def _without_archive(path: Path) -> Path:
-    """Return the file that the ZIP archive of one model or mesh holds; else the path itself."""
+def _unpacked(text: str) -> str:
     from gsgen.cli.text_streams import show_path_as, with_shown_names
-    from gsgen.contract.model.fetched_inputs import local_file
+    from gsgen.contract.model.fetched_inputs import archive_of, local_file
 
-    content = local_file(path)
-    if content == path:
-        return path
+    content = local_file(text)
+    if content == Path(text):
+        return text
     # The name within the archive follows; the copy of an archive is shown by its address.
     folder = next(parent for parent in content.parents if parent.name.endswith(".part"))
-    show_path_as(f"{folder}{os.sep}", with_shown_names(f"{path}{os.sep}"))
+    show_path_as(f"{folder}{os.sep}", with_shown_names(f"{archive_of(text) or text}{os.sep}"))
     _copy_folders.append(folder)
-    return content
+    return str(content)
+
+
+@functools.cache
+def _copy_of_standard_input() -> Path:
+    """Copy standard input into a file, which has the suffix of models if it is one."""
+    import shutil
+    import sys
+
+    from gsgen.cli.text_streams import show_path_as
+    from gsgen.contract.file_kinds.recognition import kind_of_file
+    from gsgen.contract.inputs.local_copies import kept_folder
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+
+    path = kept_folder() / "stdin"
+    with path.open("xb") as file:
+        shutil.copyfileobj(sys.stdin.buffer, file)
+    kind = kind_of_file(path)
+    if kind is not None and kind.name == "onnx":
+        path = path.rename(path.with_suffix(MODEL_SUFFIX))
+    show_path_as(str(path), "standard input")
+    _copy_folders.append(path.parent)
+    return path
 
 
 def is_copy(path: Path) -> bool:

@@ -10,6 +10,10 @@ __all__ = [
     "Seed",
     "TargetName",
     "Timeout",
+    "complete_levels",
+    "complete_rules",
+    "complete_severities",
+    "complete_targets",
 ]
 
 from pathlib import Path
@@ -20,21 +24,65 @@ import typer
 OPTION_ORDER = "gsgen.option_order"
 """Key of ``Context.meta`` with the names of the parameters in the order typed, with repetitions."""
 
+
+def complete_rules(incomplete: str) -> list[str]:
+    """Return the ids of all rules that begin as typed, for a shell's TAB."""
+    from gsgen.contract.rules.catalogue import installed_rules
+
+    return [name for name in installed_rules().rules if name.startswith(incomplete.upper())]
+
+
+def complete_severities(incomplete: str) -> list[str]:
+    """Return RULE=SEVERITY for all severities, or the rules, that begin as typed."""
+    rule, sign, word = incomplete.partition("=")
+    if not sign:
+        return [f"{identifier}=" for identifier in complete_rules(rule)]
+    return [f"{rule}={severity}" for severity in _complete_fail_on(word)]
+
+
+def complete_levels(incomplete: str) -> list[str]:
+    """Return the validation levels that begin as typed."""
+    from gsgen.contract.spec.severity import Level
+
+    return [word for word in Level.words() if word.startswith(incomplete)]
+
+
+def _complete_fail_on(incomplete: str) -> list[str]:
+    from gsgen.contract.spec.severity import Severity
+
+    return [word for word in Severity.words() if word.startswith(incomplete)]
+
+
+def complete_targets(incomplete: str) -> list[str]:
+    """Return the target runtimes that begin as typed."""
+    from gsgen.contract.spec.targets import known_targets
+
+    return [name for name in known_targets() if name.startswith(incomplete)]
+
+
 LevelName = Annotated[
     str | None,
     typer.Option(
-        help="How far to go: static, values, behaviour, live or render.", show_default="behaviour"
+        help="How far to go: static, values, behaviour, live or render.",
+        show_default="behaviour",
+        autocompletion=complete_levels,
     ),
 ]
 TargetName = Annotated[
     str | None,
     typer.Option(
-        help="Consumer to validate for: core, webgpu, visionary, gsgen.", show_default="core"
+        help="Consumer to validate for: core, webgpu, visionary, gsgen.",
+        show_default="core",
+        autocompletion=complete_targets,
     ),
 ]
 FailOn = Annotated[
     str | None,
-    typer.Option(help="Lowest severity that fails: error, warning or info.", show_default="error"),
+    typer.Option(
+        help="Lowest severity that fails: error, warning or info.",
+        show_default="error",
+        autocompletion=_complete_fail_on,
+    ),
 ]
 PrintJsonOption = Annotated[
     bool, typer.Option("--json", help="Print as JSON: the same as --format json.")

@@ -94,14 +94,16 @@ def append_text(path: Path, text: str) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically: under a temporary name, then renamed.
 
-    A device such as /dev/stdout is written to directly.
+    A device such as /dev/stdout is written to directly; the path ``-`` is standard output.
     """
-    if not is_device(path):
+    if path == Path("-"):
+        echo_text(text, end="")
+    elif not is_device(path):
         with atomic_write(path) as draft:
             draft.write_text(with_shown_names(text), "utf-8", errors="backslashreplace")
-        return
-    try:
-        with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
-            device.write(with_shown_names(text))
-    except OSError as error:
-        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error
+    else:
+        try:
+            with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
+                device.write(with_shown_names(text))
+        except OSError as error:
+            raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error

@@ -1,11 +1,13 @@
-"""The next thing to type where a command line lacks the option -o."""
+"""The next thing to type where a command lacks the option -o, or cannot write such a file."""
 
-__all__ = ["output_hint"]
+__all__ = ["command_that_writes", "output_hint", "require_own_output"]
 
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+from gsgen.contract.errors import ConfigInvalid
 
 # Command → suffix of its usual output, and the suffixes of outputs typed without -o.
 _OUTPUT_SUFFIXES: Final = {
@@ -42,3 +44,47 @@ def _flatten_values(values: Mapping[str, Any]) -> list[Any]:
 
 def _output_hint(command: str, words: Sequence[str], output: str) -> str:
     return f"Type `{shlex.join(['gsgen', command, *words, '-o', output])}`."
+
+
+def command_that_writes(output: Path, sources: Sequence[str | Path]) -> str:
+    """Return the call of the command that writes a file of this suffix; empty if none does.
+
+    Args:
+        output: The path that the user named.
+        sources: What it is made of.
+    """
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX, PAGE_SUFFIXES
+    from gsgen.formats.codecs import codec_of_suffix
+    from gsgen.formats.tileset_paths import names_tileset
+
+    suffix, first = output.suffix.lower(), Path(sources[0]).suffix.lower() if sources else ""
+    codec = codec_of_suffix(output)
+    if suffix in _OUTPUT_SUFFIXES["render"][1]:
+        words = ["render", *sources, "-o", output]
+    elif suffix in PAGE_SUFFIXES:
+        words = ["export", "html", *sources, "-o", output]
+    elif suffix == MODEL_SUFFIX and first != MODEL_SUFFIX:
+        words = ["export", "static", *sources, "-o", output]
+    elif codec is not None and codec.write:
+        name = "bake" if first == MODEL_SUFFIX else "convert"
+        words = [name, *sources, "-o", output]
+    elif names_tileset(output):
+        words = ["tiles", "build", *sources, "-o", output.parent / "tiles"]
+    else:
+        return ""
+    return shlex.join(["gsgen", *map(str, words)])
+
+
+def require_own_output(command: str, output: Path, sources: Sequence[str | Path]) -> None:
+    """Raise if another command writes files of the output's suffix, and name its call.
+
+    Raises:
+        ConfigInvalid: Another command does.
+    """
+    call, first = command_that_writes(output, sources), str(sources[0]) if sources else ""
+    if call and call.split()[1] != command:
+        raise ConfigInvalid(
+            f"is not made of {first} by `gsgen {command}`",
+            where=str(output),
+            hint=f"`{call}` makes it.",
+        )

@@ -44,7 +44,7 @@ CALLS = """
     validate good.onnx -o report.onnx
     validate good.onnx --config none.toml
     inspect
-    inspect cloud.npz
+    inspect notes.txt
     inspect good.onnx --emit-manifst
     explain GV0003
     explain opacity
@@ -70,11 +70,11 @@ CALLS = """
     render cloud.npz -o out.jpgg
     render cloud.npz -o out.png --camera orbits
     render cloud.npz -o out.png --width wide
-    render cloud.npz -o out.png --rasteriser tile
+    render cloud.npz -o out.png --rasteriser tyles
     render nowhere.ply -o out.png
     view nowhere.ply
     bake good.onnx -o out.xyz
-    bench good.onnx --provider gpu
+    bench good.onnx --provider gpx
     rewrite good.onnx
     rewrite good.onnx --dry-run --target webgl
     rewrite good.onnx --dry-run --pass SplitWideConact

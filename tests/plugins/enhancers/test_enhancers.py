@@ -185,7 +185,7 @@ def test_unknown_files_are_told_the_known_layouts(tmp_path: Path) -> None:
 
 def test_the_command_exports_and_declares_the_scale(tmp_path: Path) -> None:
     file = write_enhancer(tmp_path / "network.pth", "compact", scale=2)
-    words = ["export", "enhance", "--checkpoint", str(file), "--size", "12x16"]
+    words = ["export", "enhance", "--checkpoint", str(file), "--size", "16x12"]
     words += ["-o", str(tmp_path / "x2.onnx"), "--level", "static"]
     completed = CliRunner().invoke(build(), words)
     assert completed.exit_code == 0, completed.output

@@ -163,7 +163,7 @@ def test_network_receives_pooled_prompt_and_image_conditioning(
 ) -> None:
     folder = write_denoiser(tmp_path, XL)
     prompt = encoded(folder / "prompt_embeds.npz", **options)
-    actual = command.build(folder, size="6x8", result="network", timestep=30, time_ids=ids)
+    actual = command.build(folder, size="8x6", result="network", timestep=30, time_ids=ids)
     image = torch.rand(1, 3, 6, 8)
 
     def expected(sizes: Sequence[float]) -> torch.Tensor:
@@ -181,22 +181,22 @@ def test_mismatched_conditioning_is_refused(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path, XL)
     path = folder / "prompt_embeds.npz"
     with pytest.raises(GsgenError, match=r"(?s)has the arrays.*needs prompt_embeds"):
-        command.build(folder, size="6x8")  # that of a network without
+        command.build(folder, size="8x6")  # that of a network without
     encoded(path, other=np.zeros(1))
     with pytest.raises(GsgenError, match=r"has the arrays .*other"):
-        command.build(folder, size="6x8")
+        command.build(folder, size="8x6")
     encoded(path)
     with pytest.raises(GsgenError, match=r"(?s)from images of any size.*--time-ids HEIGHT"):
         command.build(folder, size="any")
     with pytest.raises(GsgenError, match=r"have 10 \+ 5 × 4 = 30 numbers, expected 34"):
-        command.build(folder, size="6x8", time_ids="1,2,3,4,5")
+        command.build(folder, size="8x6", time_ids="1,2,3,4,5")
     with pytest.raises(GsgenError, match="'1,two' is not a list of numbers"):
-        command.build(folder, size="6x8", time_ids="1,two")
+        command.build(folder, size="8x6", time_ids="1,two")
     path.unlink()
     with pytest.raises(
         GsgenError, match=r"takes conditioning \[1, L, 12\]; --embeddings is missing"
     ):
-        command.build(folder, size="6x8")
+        command.build(folder, size="8x6")
     run_folder = write_denoiser(tmp_path / "plain")
     with pytest.raises(GsgenError, match="takes no time_ids"):
         command.build(run_folder, time_ids="1,2,3,4,5,6")
@@ -332,7 +332,7 @@ def test_invalid_timesteps_are_refused(tmp_path: Path) -> None:
     with pytest.raises(GsgenError, match="is not a timestep: expected 0 to 999"):
         command.build(run_folder, timestep=1000.0)
     with pytest.raises(GsgenError, match="is not an image size"):
-        command.build(run_folder, size="0x12")
+        command.build(run_folder, size="12x0")
     of_images = CONDITIONAL | {"in_channels": 3, "out_channels": 3}
     conditional = write_denoiser(tmp_path / "cond", of_images)
     (conditional / "prompt_embeds.npz").unlink()
@@ -393,7 +393,7 @@ def test_denoiser_runs_in_webgpu_without_stale_replays(
 def test_half_precision_export_prints_size_and_agreement(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path / "run", SMALL_UNET)
     out = tmp_path / "clean.onnx"
-    words = ("--level", "static", "--size", "8x12", "--dtype", "float16")
+    words = ("--level", "static", "--size", "12x8", "--dtype", "float16")
     completed = gsgen_here("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
     assert completed.code == 0, completed.err
     assert "sides are multiples of 1" in completed.err
@@ -403,7 +403,7 @@ def test_half_precision_export_prints_size_and_agreement(tmp_path: Path) -> None
     assert session.get_inputs()[0].type == session.get_outputs()[0].type == "tensor(float16)"
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 8, 12)).astype(np.float16)
     (result,) = session.run(None, {"image": image})
-    expected = command.build(folder, size="8x12")(torch.from_numpy(image).float()).numpy()
+    expected = command.build(folder, size="12x8")(torch.from_numpy(image).float()).numpy()
     np.testing.assert_allclose(result.astype(np.float32), expected, atol=0.02)
     weights = sum(value.numel() for value in read_diffusion(folder).unet.parameters())
     assert out.stat().st_size < 2 * weights + 100_000

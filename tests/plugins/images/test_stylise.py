@@ -62,7 +62,7 @@ def test_network_agrees_with_its_definition(seed: int) -> None:
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     folder = tmp_path_factory.mktemp("stylise")
-    model = command.build(write_stylise(folder, channels=4, blocks=1), size="16x24")
+    model = command.build(write_stylise(folder, channels=4, blocks=1), size="24x16")
     settings = Settings(level=Level.LIVE)
     return export_post_process(model, folder / "stylise.onnx", target="webgpu", settings=settings)
 
@@ -86,7 +86,7 @@ def test_invalid_size_is_refused(word: str) -> None:
 
 
 def test_sizes_are_parsed(tmp_path: Path) -> None:
-    assert read_size("576X1024") == (576, 1024)
+    assert read_size("1024X576") == (576, 1024)
     assert read_size("any") is None
     network = command.build(write_stylise(tmp_path), size="any", slider=False)
     assert [(declared.role, declared.shape) for declared in network.inputs] == [("image", None)]

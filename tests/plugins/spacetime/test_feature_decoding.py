@@ -64,7 +64,7 @@ def test_the_exported_decoder_gives_the_pixels_of_the_method(frame: int, tmp_pat
     case = shared("data/checkpoints/stg_full")
     golden = np.load(case / "golden.npz")
     features, rays, expected = (golden[f"pp{frame}_{name}"] for name in ("features", "rays", "rgb"))
-    model = plugin.build(case / "ckpt", decode="decoder", size="30x40")
+    model = plugin.build(case / "ckpt", decode="decoder", size="40x30")
     assert isinstance(model, PixelDecoder)
     settings = Settings(level=Level.STATIC)
     path = export_post_process(model, tmp_path / "decoder.onnx", settings=settings).path

@@ -127,7 +127,7 @@ def test_files_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 def test_the_command_names_the_network(tmp_path: Path) -> None:
     file = write_fast_neural_style(tmp_path / "mosaic.model", width=4, blocks=1)
-    words = ["export", "stylise", "--checkpoint", str(file), "--size", "16x24"]
+    words = ["export", "stylise", "--checkpoint", str(file), "--size", "24x16"]
     words += ["-o", str(tmp_path / "mosaic.onnx"), "--level", "static"]
     completed = CliRunner().invoke(build_program(), words)
     assert completed.exit_code == 0, completed.output

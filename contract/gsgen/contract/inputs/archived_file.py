@@ -1,10 +1,11 @@
-"""Unpacks the one model or mesh of a ZIP archive, with the files beside it."""
+"""Unpacks a file of a ZIP archive, such as its one model or mesh, with the files beside it."""
 
-__all__ = ["unpack_into"]
+__all__ = ["unpack_into", "unpack_member"]
 
 import zipfile
 import zlib
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -51,10 +52,45 @@ def unpack_into(new_folder: Callable[[], Path], archive: Path) -> Path | None:
             for entry in entries:
                 _unpack(members, entry, folder / entry.filename)
     except _ARCHIVE_FAULTS as error:
-        raise InputUnreadable(
-            f"the archive cannot be unpacked: {error}", where=str(archive), hint=DOWNLOAD_AGAIN_HINT
-        ) from error
+        raise _damage(archive, error) from error
     return folder / names[0]
+
+
+def unpack_member(folder: Path, archive: Path, member: str) -> Path:
+    """Unpack a member of an archive, with the files in and below its folder, and return its path.
+
+    Args:
+        folder: Receives the files.
+        archive: The archive.
+        member: Path of the member in it, with slashes.
+
+    Raises:
+        InputUnreadable: The archive has no such member, is damaged, or unpacks to too much.
+    """
+    try:
+        with zipfile.ZipFile(archive) as members:
+            content = [entry for entry in members.infolist() if _is_content(entry)]
+            names = [entry.filename for entry in content]
+            if member not in names:
+                nearest = get_close_matches(member, names, n=1, cutoff=0.0)
+                raise InputUnreadable(
+                    "the archive has no such file",
+                    where=f"{archive}/{member}",
+                    hint=f"It has {len(names)}, such as {', '.join(nearest)}.",
+                )
+            beside = member.rpartition("/")[0]
+            entries = [entry for entry in content if entry.filename.startswith(beside)]
+            _require_plausible_size(archive, entries)
+            for entry in entries:
+                _unpack(members, entry, folder / entry.filename)
+    except _ARCHIVE_FAULTS as error:
+        raise _damage(archive, error) from error
+    return folder / member
+
+
+def _damage(archive: Path, error: Exception) -> InputUnreadable:
+    message = f"the archive cannot be unpacked: {error}"
+    return InputUnreadable(message, where=str(archive), hint=DOWNLOAD_AGAIN_HINT)
 
 
 def _is_content(entry: zipfile.ZipInfo) -> bool:

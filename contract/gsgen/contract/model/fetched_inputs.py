@@ -1,6 +1,6 @@
 """Returns files on disk for addresses, and for ZIP archives of one model or mesh."""
 
-__all__ = ["local_file"]
+__all__ = ["archive_of", "local_file"]
 
 import os
 from pathlib import Path
@@ -10,6 +10,7 @@ from gsgen.contract.inputs.addresses import address_of
 from gsgen.contract.inputs.remote_file import ByteProgress, ignore_progress
 
 _ARCHIVE_MAGIC: Final = b"PK\x03\x04"
+_ARCHIVE_SUFFIX: Final = ".zip"
 
 
 def local_file(path: str | os.PathLike[str], *, on_bytes: ByteProgress = ignore_progress) -> Path:
@@ -17,7 +18,8 @@ def local_file(path: str | os.PathLike[str], *, on_bytes: ByteProgress = ignore_
 
     The file at an address is copied with the files beside it that it names: external weights of a
     model, textures of a SOG, buffers of a glTF file. A ZIP archive of one model or mesh is
-    unpacked. Other paths are returned as they are.
+    unpacked, and so is the member of a path such as ``scan.zip/a/scan.ply``. Other paths are
+    returned as they are.
 
     Args:
         path: A path or an address.
@@ -31,7 +33,21 @@ def local_file(path: str | os.PathLike[str], *, on_bytes: ByteProgress = ignore_
         from gsgen.contract.inputs.local_copies import fetch, kept_folder
 
         return fetch(address, kept_folder(), weights_of=_external_weights, on_bytes=on_bytes)
+    archive = archive_of(path)
+    if archive is not None:
+        from gsgen.contract.inputs.archived_file import unpack_member
+        from gsgen.contract.inputs.local_copies import kept_folder
+
+        return unpack_member(kept_folder(), archive, Path(path).relative_to(archive).as_posix())
     return _unpacked(Path(path)) or Path(path)
+
+
+def archive_of(path: str | os.PathLike[str]) -> Path | None:
+    """Return the ZIP archive that a path leads into; None for the path of a file or folder."""
+    if _ARCHIVE_SUFFIX not in os.fspath(path).lower():
+        return None
+    files = (parent for parent in Path(path).parents if parent.suffix.lower() == _ARCHIVE_SUFFIX)
+    return next((file for file in files if file.is_file()), None)
 
 
 def _external_weights(model: Path) -> list[str]:

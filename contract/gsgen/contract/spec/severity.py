@@ -22,10 +22,16 @@ class _NamedEnum(IntEnum):
         return tuple(member.word for member in cls)
 
     @classmethod
+    def other_words(cls) -> dict[str, str]:
+        """Return the words that people type for members: name → words, separated by spaces."""
+        return {}
+
+    @classmethod
     def parse(cls, word: str, where: str = "") -> Self:
         """Return the severity or level called ``word``; raise UnknownName if it is unknown."""
         if word.lower() not in cls.words():
-            raise UnknownName.among(cls.__name__.lower(), word, cls.words(), where)
+            noun = cls.__name__.lower()
+            raise UnknownName.among(noun, word, cls.words(), where, cls.other_words())
         return cls[word.upper()]
 
 
@@ -36,6 +42,15 @@ class Severity(_NamedEnum):
     WARNING = 2
     ERROR = 3
 
+    @classmethod
+    def other_words(cls) -> dict[str, str]:
+        """Return the words that people type for severities."""
+        return {
+            "info": "note notes hint information",
+            "warning": "warn warnings",
+            "error": "errors err fatal failure",
+        }
+
 
 class Level(_NamedEnum):
     """The depth of a validation, such as static or values; each level includes the lower ones."""
@@ -45,3 +60,14 @@ class Level(_NamedEnum):
     BEHAVIOUR = 3
     LIVE = 4
     RENDER = 5
+
+    @classmethod
+    def other_words(cls) -> dict[str, str]:
+        """Return the words that people type for levels."""
+        return {
+            "static": "fast quick graph structure 1",
+            "values": "numbers run 2",
+            "behaviour": "behavior default normal 3",
+            "live": "stream 4",
+            "render": "full all max deep everything pictures 5",
+        }

@@ -7,11 +7,18 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from importlib.metadata import EntryPoint
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from gsgen.contract._entry_points import plugin_exits_as_errors, registered_entry_points, short_repr
 from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.spec.severity import Severity
+
+# Target → words that people type for it.
+_TARGET_WORDS: Final = {
+    "core": "onnxruntime ort onnx default any cpu native all",
+    "webgpu": "web browser chrome firefox wgpu gpu onnxruntime-web ort-web",
+    "gsgen": "viewer renderer runtime",
+}
 
 
 class TargetUnusable(ConfigInvalid):
@@ -140,10 +147,11 @@ def load_target(name: str, where: str = "--target") -> Target:
         ConfigInvalid: The target has another version.
     """
     base_name, _, version = name.partition("@")
+    base_name = base_name.lower() if base_name.lower() in _contract_targets() else base_name
     contract_targets = _contract_targets()
     targets = contract_targets if base_name in contract_targets else known_targets()
     if base_name not in targets:
-        raise UnknownName.among("target", base_name, targets, where)
+        raise UnknownName.among("target", base_name, targets, where, _TARGET_WORDS)
     target = targets[base_name]
     if version and version != target.version:
         raise ConfigInvalid(

@@ -97,6 +97,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="duplex-gs",
+    words="duplex duplexgs",
     title="Duplex-GS",
     summary="Ellipsoidal cells whose networks make Gaussians within them.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with cells and "

@@ -75,6 +75,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="octree-gs",
+    words="octree octreegs",
     title="Octree-GS",
     summary="Anchors in levels of detail, chosen by distance.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with levels and "

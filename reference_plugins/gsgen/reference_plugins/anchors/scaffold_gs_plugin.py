@@ -74,6 +74,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="scaffold-gs",
+    words="scaffold scaffoldgs anchors",
     title="Scaffold-GS",
     summary="Anchors whose networks make view-dependent Gaussians.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and the networks, "

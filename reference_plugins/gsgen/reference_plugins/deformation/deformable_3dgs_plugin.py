@@ -62,6 +62,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="deformable-3dgs",
+    words="deformable deformable-gs deformable-gaussians d3dgs deform dynamic",
     title="Deformable-3D-Gaussians",
     summary="Gaussians that a network moves.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "

@@ -66,6 +66,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="hexplane-4dgs",
+    words="4dgs 4dgaussians 4d-gaussians 4d-gaussian-splatting 4d-gs 4d hexplane dynamic",
     title="4DGaussians",
     summary="Gaussians that a hexplane and a small network move.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "

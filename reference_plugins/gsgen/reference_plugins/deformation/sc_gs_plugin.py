@@ -61,6 +61,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="sc-gs",
+    words="scgs sparse-controlled-gs control-points",
     title="SC-GS",
     summary="Gaussians that sparse control nodes carry.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "

@@ -20,7 +20,7 @@ File = Annotated[
 SizeOption = Annotated[
     str,
     typer.Option(
-        help="Size of the images that are enhanced as HEIGHTxWIDTH, larger ones in tiles; or any, "
+        help="Size of the images that are enhanced as WIDTHxHEIGHT, larger ones in tiles; or any, "
         "which prevents graph capture."
     ),
 ]
@@ -57,6 +57,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="enhance",
+    words="upscale super-resolution esrgan real-esrgan swinir nafnet sr",
     summary="A network that restores or enlarges the rendered image: Real-ESRGAN, SwinIR or NAFNet (post-process).",
     reads="Reads a file of weights; its tensors tell which network it is, and how large.",
     inputs=("image",),

@@ -50,7 +50,7 @@ class Enhancer(PostProcess):
         super().__init__()
         if size is None and not network.takes_any_size:
             message = "is any, but SwinIR lays its windows over a fixed size"
-            hint = "Give HEIGHTxWIDTH: larger pictures run in tiles."
+            hint = "Give WIDTHxHEIGHT: larger pictures run in tiles."
             raise ConfigInvalid(message, where="--size", hint=hint)
         self.network, self.size, self.scale = network.eval(), size, network.scale
         self.inputs = [inputs.image(3, size)]

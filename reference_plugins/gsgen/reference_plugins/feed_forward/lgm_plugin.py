@@ -67,6 +67,7 @@ def _write_pictures(folder: Path) -> list[Path]:
 
 PLUGIN = Plugin(
     name="lgm",
+    words="image-to-3d text-to-3d multi-view feed-forward",
     title="LGM",
     summary="An object from four pictures around it.",
     reads="Reads model.safetensors, or another file of weights.",

@@ -50,6 +50,7 @@ def _write_pictures(folder: Path) -> list[Path]:
 
 PLUGIN = Plugin(
     name="splatter-image",
+    words="splatterimage image-to-3d single-image feed-forward",
     title="Splatter Image",
     summary="An object from one picture or a few, a Gaussian for each pixel.",
     reads="Reads DIR/.hydra/config.yaml and DIR/model_latest.pth.",

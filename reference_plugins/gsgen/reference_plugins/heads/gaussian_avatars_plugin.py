@@ -59,6 +59,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="gaussian-avatars",
+    words="flame head face gaussianavatars head-avatar avatar",
     title="GaussianAvatars",
     summary="A head that expressions and poses of FLAME move.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N: point_cloud.ply and flame_param.npz, "

@@ -59,7 +59,7 @@ ConditioningOption = Annotated[
 SizeOption = Annotated[
     str | None,
     typer.Option(
-        help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.",
+        help="Image size as WIDTHxHEIGHT; or any, which prevents graph capture.",
         show_default="the size of training",
     ),
 ]
@@ -153,7 +153,7 @@ def _parse_lora(word: str) -> tuple[Path, float]:
 
 def _trained_size(read: "DiffusionCheckpoint") -> tuple[int, int]:
     if read.size is None:
-        hint = "Give --size HEIGHTxWIDTH, or --size any."
+        hint = "Give --size WIDTHxHEIGHT, or --size any."
         message = "the checkpoint does not record an image size"
         raise ConfigInvalid(message, where="--size", hint=hint)
     note(f"size: {read.size[0]} × {read.size[1]}, as in training")
@@ -239,6 +239,7 @@ def _add_image_noise(picture: "np.ndarray") -> "np.ndarray":
 
 PLUGIN = Plugin(
     name="denoiser",
+    words="diffusion difix sd-turbo sdxl unet stable-diffusion difix3d",
     summary="One step of a diffusion network that cleans the rendered image (post-process).",
     reads="Reads the layout of diffusers: DIR/unet/ and, for networks on latents, DIR/vae/, each "
     "with config.json and diffusion_pytorch_model.safetensors (or .bin), and "

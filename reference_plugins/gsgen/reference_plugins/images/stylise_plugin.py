@@ -28,7 +28,7 @@ Weights = Annotated[
     ),
 ]
 SizeOption = Annotated[
-    str, typer.Option(help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.")
+    str, typer.Option(help="Image size as WIDTHxHEIGHT; or any, which prevents graph capture.")
 ]
 SliderOption = Annotated[
     bool,
@@ -54,7 +54,7 @@ CornersOption = Annotated[
 
 def build(
     checkpoint: Weights,
-    size: SizeOption = "360x640",
+    size: SizeOption = "640x360",
     *,
     slider: SliderOption = True,
     style: PictureOption = None,
@@ -107,6 +107,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="stylise",
+    words="stylize style style-transfer adain animegan",
     summary="A feed-forward network that redraws the rendered image in another style (post-process).",
     reads="Reads a file of weights of fast neural style or AnimeGANv2, DIR/decoder.pth and "
     "DIR/vgg_normalised.pth of AdaIN, or DIR/config.json (channels, blocks) and "

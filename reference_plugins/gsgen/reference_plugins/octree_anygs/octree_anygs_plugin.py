@@ -108,6 +108,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="octree-anygs",
+    words="anygs octree-any",
     title="Octree-AnyGS",
     summary="Neural, explicit or flat Gaussians in levels of detail, chosen by distance.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and, of the base "

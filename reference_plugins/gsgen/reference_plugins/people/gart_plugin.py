@@ -48,6 +48,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="gart",
+    words="smal dog animal",
     title="GART",
     summary="A person with joints of SMPL and additional bones.",
     reads="Reads DIR/model.pth and the profile of the training, DIR/*.yaml, as GART's solver "

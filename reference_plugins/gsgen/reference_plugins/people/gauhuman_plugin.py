@@ -85,6 +85,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="gauhuman",
+    words="smpl human body person avatar",
     title="GauHuman",
     summary="A person animated by SMPL or SMPL-X poses.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply, the networks in "

@@ -85,6 +85,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="lhm",
+    words="smpl smpl-x smplx human person avatar",
     title="LHM",
     summary="A person from one image, animated by SMPL-X poses.",
     reads="Reads the avatar's .pth in DIR, DIR/pretrained_models/dense_sample_points/*.ply and "

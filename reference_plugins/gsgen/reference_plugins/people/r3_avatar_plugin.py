@@ -151,6 +151,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="r3-avatar",
+    words="r3avatar avatar",
     title="R3-Avatar",
     summary="A person whose appearance changes from frame to frame.",
     reads="Reads DIR/cfg_args, DIR/chkpntN.pth and the body model that --body names or "

@@ -49,6 +49,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="ex4dgs",
+    words="explicit-4dgs keyframes",
     title="Ex4DGS",
     summary="Gaussians that are interpolated between key frames.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "

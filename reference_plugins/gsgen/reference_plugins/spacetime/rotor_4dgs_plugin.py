@@ -114,6 +114,8 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="rotor-4dgs",
+    words="4dgs 4dgaussians 4d-gaussians 4d-gaussian-splatting 4d-gs "
+    "4d rotor native-4dgs realtime-4dgs dynamic",
     title="rotor 4DGS",
     summary="Gaussians in space and time, of which each moment is a slice.",
     reads="Reads DIR/chkpntN.pth and DIR/cfg_args, and the YAML of the training that --config "

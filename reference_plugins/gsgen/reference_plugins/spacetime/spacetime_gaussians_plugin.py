@@ -33,7 +33,7 @@ _Decode = Annotated[
     ),
 ]
 _SizeOption = Annotated[
-    str, typer.Option(help="Image size of --decode decoder, as HEIGHTxWIDTH: 360x640.")
+    str, typer.Option(help="Image size of --decode decoder, as WIDTHxHEIGHT: 640x360.")
 ]
 _PAPER_REFERENCE = Publication(
     paper="Li et al. 2024",
@@ -50,7 +50,7 @@ def build(
     *,
     time: Input,
     decode: _Decode = None,
-    size: _SizeOption = "360x640",
+    size: _SizeOption = "640x360",
 ) -> "GaussianGenerator | PostProcess":
     """Read a checkpoint of SpacetimeGaussians, report its contents, and return its model."""
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -111,7 +111,7 @@ def _image_size(size: str) -> tuple[int, int]:
 
     image_size = read_size(size)
     if image_size is None:
-        hint = "The model has a ray for each pixel: give the size as 360x640."
+        hint = "The model has a ray for each pixel: give the size as 640x360."
         raise ConfigInvalid(
             "'any' is not an image size for --decode decoder", where="--size", hint=hint
         )
@@ -127,6 +127,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="spacetime-gaussians",
+    words="stg spacetime spacetimegaussians",
     title="SpacetimeGaussians",
     summary="Gaussians that move along polynomials, each for a part of the time.",
     reads="Reads a PLY with motion, or DIR/cfg_args and DIR/point_cloud/iteration_N: "

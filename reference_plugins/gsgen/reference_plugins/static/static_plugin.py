@@ -99,6 +99,8 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="static",
+    words="3dgs gaussian-splatting gaussian-splat 3d-gaussian-splatting gsplat splatfacto inria splat "
+    "splats gs ply point-cloud pointcloud vanilla nerfstudio mip-splatting",
     summary="A splat file or a coloured point cloud, unchanging.",
     reads=f"Reads {format_titles()}: splats of SH degree 0 to 4, a point cloud (a PLY with red, "
     "green and blue, or an NPZ with points, xyz or means3d and colors), or an NPZ of packed rows "

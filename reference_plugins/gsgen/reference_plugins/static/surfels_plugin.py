@@ -43,6 +43,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="2dgs",
+    words="2d-gaussian-splatting 2d-gs surfels surfel",
     title="2DGS",
     summary="Flat Gaussians on the surfaces of a scene, unchanging.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N/point_cloud.ply, or a PLY with two "

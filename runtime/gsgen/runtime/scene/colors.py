@@ -2,19 +2,13 @@
 
 __all__ = ["color_of"]
 
-from typing import Final
-
 from gsgen.contract.errors import ConfigInvalid
 
-_COLOR_NAMES: Final = {
-    "black": (0.0, 0.0, 0.0, 1.0),
-    "white": (1.0, 1.0, 1.0, 1.0),
-    "transparent": (0.0, 0.0, 0.0, 0.0),
-}
+_TRANSPARENT_WORDS = ("transparent", "none")
 
 
 def color_of(text: str, where: str) -> tuple[float, float, float, float]:
-    """Parse a colour: black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.
+    """Parse a colour: a name of CSS, transparent, #rgb, #rrggbb[aa] or R,G,B[,A] from 0 to 1.
 
     Args:
         text: The colour.
@@ -23,13 +17,16 @@ def color_of(text: str, where: str) -> tuple[float, float, float, float]:
     Raises:
         ConfigInvalid: The text is not a colour in one of these forms.
     """
-    if text.lower() in _COLOR_NAMES:
-        return _COLOR_NAMES[text.lower()]
+    if text.lower() in _TRANSPARENT_WORDS:
+        return 0.0, 0.0, 0.0, 0.0
+    channels = text.split(",")
     try:
-        if text.startswith("#") and len(text) == 7:
-            rgb_bytes = bytes.fromhex(text[1:])
-            return rgb_bytes[0] / 255, rgb_bytes[1] / 255, rgb_bytes[2] / 255, 1.0
-        red, green, blue, *alphas = (float(channel) for channel in text.split(","))
+        if len(channels) == 1:
+            from PIL import ImageColor
+
+            red, green, blue, *alphas = (byte / 255 for byte in ImageColor.getrgb(text))
+        else:
+            red, green, blue, *alphas = map(float, channels)
         (alpha,) = alphas or (1.0,)
         if not all(0 <= channel <= 1 for channel in (red, green, blue, alpha)):
             raise ValueError(text)
@@ -37,6 +34,7 @@ def color_of(text: str, where: str) -> tuple[float, float, float, float]:
         raise ConfigInvalid(
             f"{text!r} is not a colour",
             where=where,
-            hint="Give black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.",
+            hint="Give a name such as white, grey or transparent, #rgb, #rrggbb, or R,G,B[,A] "
+            "from 0 to 1.",
         ) from error
     return red, green, blue, alpha

@@ -4,11 +4,14 @@ A package registers an object of :class:`Plugin` under the entry point group ``g
 If it needs an extra, the entry point names the extra in square brackets.
 """
 
-__all__ = ["Demo", "Plugin", "Publication", "find_plugins", "installed_plugins"]
+__all__ = [
+    "Demo", "Plugin", "Publication", "find_plugins", "installed_plugins", "words_of_plugins",
+]  # fmt: skip
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -80,6 +83,8 @@ class Plugin:
 
     Attributes:
         name: The word after ``gsgen export``.
+        words: Other words that people type for it, separated by spaces. A word of one plugin
+            alone exports by it; a word of several makes an error that names them.
         title: The method's own name; empty if it has none.
         summary: One sentence that says what the plugin exports.
         reads: The files it reads, for ``gsgen export --help``.
@@ -98,6 +103,7 @@ class Plugin:
     """
 
     name: str
+    words: str = ""
     title: str = ""
     summary: str
     reads: str
@@ -132,3 +138,17 @@ def installed_plugins() -> Iterator[Plugin]:
             plugin = extension.load()
             if isinstance(plugin, Plugin):
                 yield plugin
+
+
+def words_of_plugins() -> dict[str, str]:
+    """Return the words for every plugin that can be imported, by its name; it imports them all."""
+    words = {}
+    for name, extension in find_plugins().items():
+        # The declaration is imported even where packages that the export needs are missing.
+        module = extension.point.value.partition("[")[0].strip()
+        bare_point = EntryPoint(name, module, _ENTRY_POINT_GROUP)
+        with suppress(ExtensionUnusable):
+            plugin = Extension(name, bare_point).load()
+            if isinstance(plugin, Plugin):
+                words[name] = plugin.words
+    return words

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.options import complete_rules
 from gsgen.cli.output import echo_json, echo_text
 
 
@@ -16,6 +17,7 @@ def explain(
             metavar="RULE...",
             help="A rule's id or name, such as GV003 or opacity-range.",
             show_default=False,
+            autocompletion=complete_rules,
         ),
     ],
     *,

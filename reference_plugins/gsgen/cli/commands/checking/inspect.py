@@ -3,6 +3,7 @@
 __all__ = ["inspect"]
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,6 +29,9 @@ def inspect(
 ) -> None:
     """Show a model's inputs, outputs and manifest; its weights are not read.
 
+    Of a splat file, or of the folder of a 3DGS training, the number of splats is shown, and the
+    range of their positions, sizes, opacities and colours.
+
     With --emit-manifest, a model without a manifest gets one derived from names and shapes; what
     had to be guessed is listed on stderr.
     """
@@ -36,6 +40,9 @@ def inspect(
         return
     if model is None:
         raise ConfigInvalid("MODEL is missing, expected an ONNX file or --schema KIND")
+    if not emit_manifest and _is_splats(model):
+        _show_splats(model, as_json=as_json)
+        return
     subject = _read(model)
     if emit_manifest:
         _emit_manifest(subject)
@@ -43,6 +50,35 @@ def inspect(
         echo_json(_model_facts(subject))
     else:
         _print_model(subject)
+
+
+def _is_splats(path: Path) -> bool:
+    """Return whether a path is that of a splat file, or of the folder of a 3DGS training."""
+    from gsgen.formats.codecs import codec_of_suffix
+    from gsgen.formats.inputs import training_folder
+
+    return path.exists() and (bool(codec_of_suffix(path)) or training_folder(path) is not None)
+
+
+def _show_splats(path: Path, *, as_json: bool) -> None:
+    from gsgen.formats import Splats, open_splats
+    from gsgen.formats.editing.statistics import statistics_text, summarise
+
+    content = open_splats(path)
+    summary = summarise(content) if isinstance(content, Splats) else ()
+    facts = {
+        "path": str(path),
+        "splats": len(content),
+        "sh_degree": content.degree if isinstance(content, Splats) else None,
+        "statistics": [asdict(entry) for entry in summary],
+    }
+    if as_json:
+        echo_json(facts)
+    elif isinstance(content, Splats):
+        echo(f"{path}: {len(content):,} splats of SH degree {content.degree}")
+        echo(*statistics_text(summary).split("\n"))
+    else:
+        echo(f"{path}: {len(content):,} points")
 
 
 def _schema(kind: str) -> dict[str, object]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.cli.options import Config, Memory, Seed, TargetName, Timeout
+from gsgen.cli.options import Config, Memory, Seed, TargetName, Timeout, complete_rules
 from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.contract.errors import ExitCode
 from gsgen.contract.spec.layout import FIELDS
@@ -21,7 +21,12 @@ _SHOWN_COLOR_VALUES = 6
 
 def repro(
     model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
-    rule: Annotated[str, typer.Option(help="The rule, by id or name.", show_default=False)],
+    rule: Annotated[
+        str,
+        typer.Option(
+            help="The rule, by id or name.", show_default=False, autocompletion=complete_rules
+        ),
+    ],
     probe: Annotated[
         str | None, typer.Option(help="The probe, by label or number. [default: all probes]")
     ] = None,

@@ -6,7 +6,7 @@ import os
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -18,6 +18,8 @@ from gsgen.cli.options import (
     PrintJsonOption,
     TargetName,
     Timeout,
+    complete_rules,
+    complete_severities,
 )
 from gsgen.cli.output import echo_commands, echo_error, echo_text
 from gsgen.contract.errors import ExitCode, UnknownName
@@ -41,28 +43,43 @@ Paths = Annotated[
 IgnoreOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Rule (id or name) whose findings do not count; repeat or separate by commas."
+        help="Rule (id or name) whose findings do not count; repeat or separate by commas.",
+        autocompletion=complete_rules,
     ),
 ]
 OnlyOption = Annotated[
     list[str] | None,
-    typer.Option(help="Check only this rule and those that it needs; repeat or use commas."),
+    typer.Option(
+        help="Check only this rule and those that it needs; repeat or use commas.",
+        autocompletion=complete_rules,
+    ),
 ]
 RequireRules = Annotated[
     list[str] | None,
-    typer.Option(help="Fail unless this rule was checked; repeat or separate by commas."),
+    typer.Option(
+        help="Fail unless this rule was checked; repeat or separate by commas.",
+        autocompletion=complete_rules,
+    ),
 ]
 SeverityOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="RULE=SEVERITY, in place of the rule's own severity; repeatable.", metavar="ID=LEVEL"
+        help="RULE=SEVERITY, in place of the rule's own severity; repeatable.",
+        metavar="RULE=SEVERITY",
+        autocompletion=complete_severities,
     ),
 ]
 BaselineFile = Annotated[
     Path | None, typer.Option(help="An earlier JSON report, whose findings do not fail the model.")
 ]
 Output = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Write the report to a file instead.")
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="Write the report to a file instead, in the format of its suffix; - is stdout.",
+        allow_dash=True,
+    ),
 ]
 JobsOption = Annotated[
     int, typer.Option("-j", "--jobs", help="Number of models to validate at once.", min=1)
@@ -98,11 +115,30 @@ _REPORTER_BY_FORMAT = {
 }
 
 
+# Suffix of a report's file → its format; others hold text.
+_FORMAT_BY_SUFFIX: Final = {
+    ".htm": Format.HTML,
+    ".html": Format.HTML,
+    ".json": Format.JSON,
+    ".md": Format.MARKDOWN,
+    ".sarif": Format.SARIF,
+    ".xml": Format.JUNIT,
+}
+
+FormatOption = Annotated[
+    Format | None,
+    typer.Option(
+        help="How to print the report. [default: by the suffix of --output, or text]",
+        case_sensitive=False,
+    ),
+]
+
+
 def validate(
     paths: Paths,
     level: LevelName = None,
     target: TargetName = None,
-    format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
+    format: FormatOption = None,
     as_json: PrintJsonOption = False,
     fail_on: FailOn = None,
     ignore: IgnoreOption = None,
@@ -141,6 +177,10 @@ def validate(
     if output:
         refuse_model(output, [*files, *(path for path in (config, baseline) if path)])
         refuse_missing_folder(output)
+    if as_json:
+        format = Format.JSON
+    elif format is None:
+        format = _FORMAT_BY_SUFFIX.get(output.suffix.lower() if output else "", Format.TEXT)
     options = {
         "level": level,
         "target": target,
@@ -164,7 +204,7 @@ def validate(
         entries = [_compare_with_baseline(known_baseline, entry) for entry in entries]
     if format is Format.HTML:
         entries = [_with_pictures(entry, settings) for entry in entries]
-    _print(entries, Format.JSON if as_json else format, output, verbose=verbose, quiet=quiet)
+    _print(entries, format, output, verbose=verbose, quiet=quiet)
     raise typer.Exit(_exit_code(entries))
 
 

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
+from gsgen.cli.command_group import SubcommandGroup
 from gsgen.cli.output import echo, echo_text
 from gsgen.contract._safe_text import for_json
 from gsgen.contract.errors import ExitCode, InputUnreadable
 
 app = typer.Typer(
+    cls=SubcommandGroup,
     help="Test a viewer: small models, expected pictures, and a verdict for each test.",
     no_args_is_help=True,
 )

@@ -23,6 +23,7 @@ from gsgen.cli.commands.drawing.options import (
     read_tracks,
 )
 from gsgen.cli.output import echo, echo_error, echo_json
+from gsgen.cli.output_hints import require_own_output
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.formats.codecs import writable_formats
 
@@ -127,6 +128,8 @@ def bake(
     from gsgen.runtime.playback.input_tracks import require_pictures
     from gsgen.runtime.sources.source import GeneratorSource
 
+    if format is None:
+        require_own_output("bake", output, [model])
     tracks, view = _tracks(time, inputs), _viewpoint(camera, up)
     limits = model_limits(timeout, memory, trust=trust)
     with (

@@ -37,7 +37,8 @@ def bench_render(
     memory: options.ModelMemory = None,
     as_json: options.PrintJsonOption = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
+        Path | None,
+        typer.Option("-o", "--output", help="Also write the JSON to this file.", allow_dash=True),
     ] = None,
 ) -> None:
     """Measure the time and the memory of a frame of SCENES, stage by stage.

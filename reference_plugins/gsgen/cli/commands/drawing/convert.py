@@ -27,8 +27,9 @@ from gsgen.cli.commands.drawing.convert_edits import (
 )
 from gsgen.cli.commands.drawing.options import Origin, PrintJsonOption
 from gsgen.cli.output import echo, echo_error, echo_json
+from gsgen.cli.output_hints import require_own_output
 from gsgen.contract._safe_text import for_shell
-from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, InputUnreadable
 from gsgen.contract.process.atomic_files import refuse_itself
 from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
 from gsgen.formats.editing.statistics import Statistics, statistics_text
@@ -80,6 +81,9 @@ SpzAxes = Annotated[
         "[default: RUB, or as declared]"
     ),
 ]
+OutputOption = Annotated[
+    Path | None, typer.Option("-o", "--output", help="TARGET, after any number of SOURCE.")
+]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Allow TARGET to be SOURCE, which is replaced.")
 ]
@@ -110,6 +114,7 @@ def convert(
     encoding: Encoding = None,
     force: ForceOption = False,
     as_json: PrintJsonOption = False,
+    output: OutputOption = None,
 ) -> None:
     """Write the splats of SOURCE to TARGET in another format, and print the losses.
 
@@ -120,7 +125,11 @@ def convert(
     from gsgen.formats.shared.origins import parse_origin
     from gsgen.runtime.baking.targets import writable_codec
 
+    assert output is None or output == target  # the group's commands take it as TARGET
     point = parse_origin(origin)
+    _refuse_scenes(sources)
+    if format is None:
+        require_own_output("convert", target, sources)
     codec = writable_codec(target, format, where=str(target))
     if not force:
         hint = "Name another file, or replace it with --force."
@@ -210,10 +219,23 @@ def _mesh_error(error: "FormatError") -> GsgenError:
 
     if error.path is None or not is_mesh(Path(error.path)):
         return error
-    return ConfigInvalid(
-        "is a mesh, expected splats",
-        where=error.path,
-        hint=f"`gsgen render {for_shell(str(error.path))} -o picture.png` draws it.",
+    return _not_splats("mesh", error.path)
+
+
+def _refuse_scenes(sources: list[str]) -> None:
+    """Raise for a scene file, which any reader of tilesets would take for a damaged one."""
+    from gsgen.runtime.sources.scene_file import is_scene_file
+
+    for source in sources:
+        if is_scene_file(Path(source)):
+            raise _not_splats("scene", source)
+
+
+def _not_splats(noun: str, source: str) -> GsgenError:
+    return InputUnreadable(
+        f"is a {noun}, expected splats",
+        where=source,
+        hint=f"`gsgen render {for_shell(source)} -o picture.png` draws it.",
     )
 
 

@@ -12,6 +12,7 @@ import typer
 from gsgen.cli.commands.drawing import options
 from gsgen.cli.commands.drawing.streaming_options import with_streaming_options
 from gsgen.cli.output import echo, echo_json
+from gsgen.cli.output_hints import require_own_output
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
@@ -143,6 +144,7 @@ def render(
         image_cameras=image_cameras,
     )
     refuse_inputs(output, read_files)
+    require_own_output("render", output, scenes)
     require_output_format(output, frames=frames or 1, bits=bit_count)
     files = list(read_scene_files(scenes).values())
     refuse_inputs(output, scene_inputs(files))
@@ -256,6 +258,12 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
     from gsgen.cli.progress import clear, progress
     from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
 
+    if sequence.frames == 1 and not (output.suffix or output.is_dir()):
+        raise ConfigInvalid(
+            "has no suffix, expected that of a picture",
+            where=str(output),
+            hint=f"Name {output}.png; several frames go into a folder.",
+        )
     if sequence.frames == 1 and output.suffix.lower() in VIDEO_SUFFIXES:
         echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
     start_time = clock.perf_counter()

@@ -48,7 +48,8 @@ def bench(
     trust: TrustOption = False,
     as_json: PrintJsonOption = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
+        Path | None,
+        typer.Option("-o", "--output", help="Also write the JSON to this file.", allow_dash=True),
     ] = None,
 ) -> None:
     """Measure the time and memory of a frame of each MODEL on each execution provider.

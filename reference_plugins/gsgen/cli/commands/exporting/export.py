@@ -4,7 +4,7 @@ __all__ = ["app"]
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperGroup
@@ -13,19 +13,24 @@ from gsgen.cli.command_group import PASS_THROUGH_SETTINGS, refusing, runnable, u
 from gsgen.cli.commands.exporting.export_html import export_html
 from gsgen.cli.commands.exporting.export_options import with_common_options
 from gsgen.cli.commands.exporting.plugin_function import plugin_function
-from gsgen.cli.option_panels import arrange_options, escape_markup
+from gsgen.cli.option_panels import escape_markup
+from gsgen.cli.output import echo
+from gsgen.cli.output_hints import command_that_writes
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract._safe_text import for_shell
-from gsgen.contract.errors import ExitCode, UnknownName
-from gsgen.contract.process.atomic_files import PAGE_SUFFIXES
+from gsgen.contract.errors import ExitCode, UnknownName, names_meant
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.sdk.plugins.factory import is_target
-from gsgen.sdk.plugins.plugin import Plugin, find_plugins
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins, words_of_plugins
 
 _HELP_TEXT = """Export a Gaussian Generator from your torch module, or from the files of a method.
 
 TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
 of the current folder can be imported), or one of the methods below.
 """
+
+_MODULE_WORDS: Final = ("torch", "pytorch", "module", "python", "model", "onnx", "checkpoint")
+_FORMAT_WORDS: Final = {"html": "page web website webpage viewer embed"}
 
 
 class _TargetCommands(TyperGroup):
@@ -55,28 +60,46 @@ class _TargetCommands(TyperGroup):
         if word not in names and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
             return word, _export_command(word, wants_help=wants_help), args[1:]
-        if word not in names and not word.startswith("-"):
-            raise _unknown_target_error(word, names, args)
-        return super().resolve_command(ctx, args)
+        if word in names or word.startswith("-"):
+            return super().resolve_command(ctx, args)
+        words = words_of_plugins() | _FORMAT_WORDS
+        match names_meant(word, words):
+            case [name]:
+                echo(f"note: {word} is exported by {name}", err=True)
+                return super().resolve_command(ctx, [name, *args[1:]])
+            case []:
+                raise _unknown_target_error(word, names, args)
+            case _:
+                raise UnknownName.among("target", word, names, "TARGET", words)
 
 
-def _unknown_target_error(word: str, plugins: list[str], typed_arguments: list[str]) -> UnknownName:
+def _unknown_target_error(word: str, plugins: list[str], typed_words: list[str]) -> UnknownName:
     from gsgen.formats.codecs import codec_of_suffix
 
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
     module, _, name = word.rpartition(".")
-    pages = [entry for entry in typed_arguments if Path(entry).suffix.lower() in PAGE_SUFFIXES]
-    if pages and path.suffix:
-        hint = f"`gsgen export html {word} -o {pages[0]}` writes a page."
+    option = next((flag for flag in ("-o", "--output") if flag in typed_words[:-1]), "")
+    output = Path(typed_words[typed_words.index(option) + 1]) if option else Path("model.onnx")
+    is_source = path.exists() or codec_of_suffix(path)
+    call = command_that_writes(output, [word] if is_source else typed_words[1:2])
+    if call and output.suffix.lower() != MODEL_SUFFIX:
+        hint = f"`{call}` writes such a file."
+    elif path.is_dir():
+        hint = (
+            f"Name the method that trained it, static for 3DGS: gsgen export static {for_shell(word)} "
+            f"-o {output}; `gsgen plugins` lists all."
+        )
     elif codec_of_suffix(path):
         hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
-    elif path.suffix == ".onnx":
+    elif path.suffix == MODEL_SUFFIX:
         hint = f"It is already exported: gsgen validate {for_shell(word)}"
     elif path.suffix == ".py" or _is_module(word):
         hint = f"Name the callable that returns the generator: {word}:NAME"
     elif _is_module(module) or (module and "Did you mean" not in error.hint):
         hint = f"Write {module}:{name}"
+    elif word in _MODULE_WORDS:
+        hint = "A module of your own is written package.module:factory."
     else:
         hint = f"{error.hint} A target of your own is written package.module:factory."
     return UnknownName(error.message, where=error.where, hint=hint)
@@ -158,9 +181,7 @@ def _plugin_command(extension: Extension) -> Any:
             function, settings = refusing(unusable_error), PASS_THROUGH_SETTINGS
         help = f"{loaded_plugin.headline}\n\n{loaded_plugin.reads}"
         loaded_plugin = function
-    command = usable_command(extension, loaded_plugin, settings, help=help)
-    arrange_options(command)
-    return command
+    return usable_command(extension, loaded_plugin, settings, help=help)
 
 
 app = typer.Typer(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from gsgen.cli.options import Timeout
+from gsgen.cli.options import Timeout, complete_levels, complete_targets
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET, VECTOR_COUNT
@@ -85,10 +85,17 @@ def _request(
     ] = OPSET,
     target: Annotated[
         str,
-        typer.Option(help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."),
+        typer.Option(
+            help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen.",
+            autocompletion=complete_targets,
+        ),
     ] = "core",
     level: Annotated[
-        str, typer.Option(help="Last level to validate: static, values, behaviour, live or render.")
+        str,
+        typer.Option(
+            help="Last level to validate: static, values, behaviour, live or render.",
+            autocompletion=complete_levels,
+        ),
     ] = "behaviour",
     verify: Annotated[
         Literal["quick", "full"],

@@ -10,7 +10,7 @@ from gsgen.cli.model_options import PrintJsonOption
 from gsgen.cli.output import echo, echo_json
 from gsgen.contract._entry_points import Extension, ExtensionUnusable
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.plugins.plugin import Plugin, find_plugins
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins, words_of_plugins
 
 
 def plugins(
@@ -27,7 +27,7 @@ def plugins(
     extensions = find_plugins()
     for name in names or ():
         if name not in extensions:
-            raise UnknownName.among("plugin", name, extensions)
+            raise UnknownName.among("plugin", name, extensions, words=words_of_plugins())
     entries = [
         _plugin_facts(extension)
         for name, extension in extensions.items()

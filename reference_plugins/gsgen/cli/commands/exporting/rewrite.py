@@ -17,6 +17,7 @@ from gsgen.cli.model_options import (
     first_names,
     sizes_of,
 )
+from gsgen.cli.options import complete_targets
 from gsgen.cli.output import echo, echo_json
 from gsgen.cli.progress import progress
 from gsgen.contract.errors import ConfigInvalid
@@ -35,7 +36,11 @@ def rewrite(
         Path | None, typer.Option("-o", "--output", help="The rewritten copy.")
     ] = None,
     target: Annotated[
-        str, typer.Option(help="Consumer to rewrite for; core means all known ones.")
+        str,
+        typer.Option(
+            help="Consumer to rewrite for; core means all known ones.",
+            autocompletion=complete_targets,
+        ),
     ] = "core",
     only: Annotated[
         list[str] | None,

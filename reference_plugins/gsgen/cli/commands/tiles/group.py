@@ -4,6 +4,7 @@ __all__ = ["app"]
 
 import typer
 
+from gsgen.cli.command_group import SubcommandGroup
 from gsgen.cli.commands.tiles.build import build
 from gsgen.cli.commands.tiles.info import info
 from gsgen.cli.commands.tiles.pack import pack
@@ -12,6 +13,7 @@ from gsgen.cli.commands.tiles.serve import serve
 from gsgen.cli.commands.tiles.simulate import simulate
 
 app = typer.Typer(
+    cls=SubcommandGroup,
     help="Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
     no_args_is_help=True,
 )
