@@ -11,15 +11,15 @@ import re
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from gsgen.cli.command_table import Command, calls_meant, find_command, panels
-from gsgen.cli.option_words import explain_option, with_known_values
-from gsgen.cli.options import OPTION_ORDER
+from gsgen.cli.command_table import PANELS, Command, calls_meant, find_command, panels
+from gsgen.cli.options import OPTION_ORDER, with_known_values
 from gsgen.contract._entry_points import (
     Extension,
     ExtensionUnusable,
@@ -32,6 +32,7 @@ from gsgen.contract.errors import ExitCode, UnknownName
 # A command that only reports why it cannot run accepts all arguments.
 PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
 
+_MAX_NAMED_COMMANDS: Final = 3
 _RULE_ID: Final = re.compile(r"G[A-Z]\d{3}")
 
 
@@ -115,10 +116,23 @@ def _printable_errors() -> Iterator[None]:
         yield
     except Exception as error:
         if hasattr(error, "option_name") and getattr(error, "ctx", None) is not None:
-            explain_option(error)
+            from gsgen.cli.option_words import explain_option
+
+            explain_option(error, _commands_with)
         if hasattr(error, "format_message") and hasattr(error, "message"):
             error.message = printable(str(error.message), kept_chars="\n\t")
         raise
+
+
+def _commands_with(option: str) -> list[str]:
+    """Return the names of a few of gsgen's commands that have an option; it imports them."""
+    commands = [command for panel in PANELS.values() for command in panel]
+    names = (
+        entry.name
+        for entry in commands
+        if any(option in item.opts for item in click_command(entry).params)
+    )
+    return list(islice(names, _MAX_NAMED_COMMANDS))
 
 
 def click_command(command: Command) -> Any:

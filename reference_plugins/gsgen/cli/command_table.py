@@ -76,6 +76,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "Export a Gaussian Generator from your torch module, or from the files of a method.",
             "exporting.export:app",
             "onnx to-onnx ns-export onnx-export build",
+            sequence="sequence flipbook ply-sequence",
             html="html page webpage website embed publish share",
         ),
         _make_command(
@@ -211,7 +212,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "bake",
             "Write frames of a generator as plain splat files, which every viewer reads.",
             "drawing.bake:bake",
-            "freeze unroll sequence flipbook frames-to-ply snapshot-ply",
+            "freeze unroll frames-to-ply snapshot-ply",
         ),
         _make_command(
             "tiles",

@@ -30,7 +30,6 @@ _TILESET_PARAMETERS: Final = ("paths", "scene", "scenes", "sources", "tileset")
 _ADDRESS_TEXT: Final = re.compile(
     r"(?P<before>[\w.]*=)?(?P<address>[A-Za-z][A-Za-z0-9+.-]+:/.*?)(?P<after>#[^#/]*)?"
 )
-_ARCHIVE_SUFFIX: Final = ".zip"
 _MEGABYTE: Final = 1 << 20
 
 
@@ -75,7 +74,9 @@ def _local_text(parameter: str, text: str) -> str:
         return str(_copy_of_standard_input()) if parameter in _MODEL_PARAMETERS else text
     match = _ADDRESS_TEXT.fullmatch(text)
     if match is None:
-        is_packed = _ARCHIVE_SUFFIX in text.lower() and parameter not in OUTPUT_PARAMETERS
+        from gsgen.contract.model.fetched_inputs import ARCHIVE_SUFFIX
+
+        is_packed = ARCHIVE_SUFFIX in text.lower() and parameter not in OUTPUT_PARAMETERS
         return _unpacked(text) if is_packed else text
     from gsgen.contract.inputs.addresses import address_of
 

@@ -1,8 +1,8 @@
-"""What people mean by options and values that a command does not have, by meaning, not by letters."""
+"""What people mean by options that a command does not have, by meaning, not by letters."""
 
-__all__ = ["explain_option", "with_known_values"]
+__all__ = ["explain_option"]
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from gsgen.contract.errors import names_meant
@@ -91,65 +91,14 @@ _ADVICE: Final = {
 }
 """Sentence → the words of options that it answers where the command has no option for them."""
 
-_VALUE_WORDS: Final = {
-    "--antialias": {"mip": "mip-splatting on true", "classic": "none off false"},
-    "--color-space": {"linear": "linear-rgb", "srgb": "rgb gamma"},
-    "--dtype": {"float16": "fp16 half f16", "float32": "fp32 single full f32"},
-    "--encoding": {"ascii": "text", "binary_little_endian": "binary le"},
-    "--mode": {
-        "alpha": "mask opacity",
-        "color": "rgb rgba image",
-        "depth": "depths distance",
-        "normal": "normals",
-    },
-    "--provider": {
-        "cpu": "cpuexecutionprovider",
-        "cuda": "cuda:0 nvidia cudaexecutionprovider",
-        "webgpu": "gpu wgpu webgpuexecutionprovider",
-    },
-    "--rasteriser": {"quads": "quad hardware", "tiles": "tile compute"},
-    "--size": {
-        "1280x720": "hd 720p",
-        "1920x1080": "1080p fullhd full-hd fhd",
-        "3840x2160": "4k 2160p uhd",
-    },
-    "--up": {
-        "+x": "x x-up", "+y": "y y-up", "+z": "z z-up", "-x": "x-down", "-y": "y-down",
-        "-z": "z-down",
-    },
-}  # fmt: skip
-"""Option → value → the words for it, separated by spaces."""
 
-_MAX_NAMED_COMMANDS: Final = 3
+def explain_option(error: Any, commands_with: Callable[[str], Sequence[str]]) -> None:
+    """Say in click's error about an option which one was meant, or what its value is.
 
-
-def with_known_values(arguments: Sequence[str]) -> list[str]:
-    """Return the words of a command line with the values that are meant, such as +z for `--up z`."""
-    known: list[str] = []
-    for word in arguments:
-        option, has_value, value = word.partition("=")
-        before = known[-1] if known else ""
-        if before in _VALUE_WORDS:
-            known.append(_known_value(before, word))
-        elif has_value and option in _VALUE_WORDS:
-            known.append(f"{option}={_known_value(option, value)}")
-        else:
-            known.append(word)
-    return known
-
-
-def _known_value(option: str, typed: str) -> str:
-    words = _VALUE_WORDS[option]
-    if typed in words:
-        return typed
-    meant = [
-        value for value, others in words.items() if typed.casefold() in (value, *others.split())
-    ]
-    return meant[0] if meant else typed
-
-
-def explain_option(error: Any) -> None:
-    """Say in click's error about an option which one was meant, or what its value is."""
+    Args:
+        error: The error, whose message is changed.
+        commands_with: Returns the names of a few commands that have an option.
+    """
     typed = str(error.option_name)
     if not hasattr(error, "possibilities"):
         error.message += _value_advice(typed, error.ctx.command)
@@ -161,7 +110,7 @@ def explain_option(error: Any) -> None:
         hint = f"Did you mean {' or '.join(here)}?"
     elif advice := names_meant(typed, _ADVICE):
         hint = advice[0]
-    elif elsewhere := _commands_with(meant[0].split()[0] if meant else typed):
+    elif elsewhere := commands_with(meant[0].split()[0] if meant else typed):
         option = meant[0] if meant else typed
         hint = f"{option} is an option of {', '.join(f'`gsgen {name}`' for name in elsewhere)}."
     else:
@@ -183,13 +132,3 @@ def _value_advice(option: str, command: Any) -> str:
 def _option_names(command: Any) -> Iterator[str]:
     for parameter in command.params:
         yield from parameter.opts
-
-
-def _commands_with(option: str) -> Iterable[str]:
-    """Return the names of a few of gsgen's commands that have an option; it imports them."""
-    from gsgen.cli.command_group import click_command
-    from gsgen.cli.command_table import PANELS
-
-    commands = [command for panel in PANELS.values() for command in panel]
-    names = [entry.name for entry in commands if option in _option_names(click_command(entry))]
-    return names[:_MAX_NAMED_COMMANDS]

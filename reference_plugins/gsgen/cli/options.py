@@ -14,10 +14,12 @@ __all__ = [
     "complete_rules",
     "complete_severities",
     "complete_targets",
+    "with_known_values",
 ]
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -38,6 +40,61 @@ def complete_severities(incomplete: str) -> list[str]:
     if not sign:
         return [f"{identifier}=" for identifier in complete_rules(rule)]
     return [f"{rule}={severity}" for severity in _complete_fail_on(word)]
+
+
+_VALUE_WORDS: Final = {
+    "--antialias": {"mip": "mip-splatting on true", "classic": "none off false"},
+    "--color-space": {"linear": "linear-rgb", "srgb": "rgb gamma"},
+    "--dtype": {"float16": "fp16 half f16", "float32": "fp32 single full f32"},
+    "--encoding": {"ascii": "text", "binary_little_endian": "binary le"},
+    "--mode": {
+        "alpha": "mask opacity",
+        "color": "rgb rgba image",
+        "depth": "depths distance",
+        "normal": "normals",
+    },
+    "--provider": {
+        "cpu": "cpuexecutionprovider",
+        "cuda": "cuda:0 nvidia cudaexecutionprovider",
+        "webgpu": "gpu wgpu webgpuexecutionprovider",
+    },
+    "--rasteriser": {"quads": "quad hardware", "tiles": "tile compute"},
+    "--size": {
+        "1280x720": "hd 720p",
+        "1920x1080": "1080p fullhd full-hd fhd",
+        "3840x2160": "4k 2160p uhd",
+    },
+    "--up": {
+        "+x": "x x-up", "+y": "y y-up", "+z": "z z-up", "-x": "x-down", "-y": "y-down",
+        "-z": "z-down",
+    },
+}  # fmt: skip
+"""Option → value → the words for it, separated by spaces."""
+
+
+def with_known_values(arguments: Sequence[str]) -> list[str]:
+    """Return the words of a command line with the values that are meant, such as +z for `--up z`."""
+    known: list[str] = []
+    for word in arguments:
+        option, has_value, value = word.partition("=")
+        before = known[-1] if known else ""
+        if before in _VALUE_WORDS:
+            known.append(_known_value(before, word))
+        elif has_value and option in _VALUE_WORDS:
+            known.append(f"{option}={_known_value(option, value)}")
+        else:
+            known.append(word)
+    return known
+
+
+def _known_value(option: str, typed: str) -> str:
+    words = _VALUE_WORDS[option]
+    if typed in words:
+        return typed
+    meant = [
+        value for value, others in words.items() if typed.casefold() in (value, *others.split())
+    ]
+    return meant[0] if meant else typed
 
 
 def complete_levels(incomplete: str) -> list[str]:

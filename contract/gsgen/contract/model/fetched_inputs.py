@@ -1,6 +1,6 @@
 """Returns files on disk for addresses, and for ZIP archives of one model or mesh."""
 
-__all__ = ["archive_of", "local_file"]
+__all__ = ["ARCHIVE_SUFFIX", "archive_of", "local_file"]
 
 import os
 from pathlib import Path
@@ -10,7 +10,8 @@ from gsgen.contract.inputs.addresses import address_of
 from gsgen.contract.inputs.remote_file import ByteProgress, ignore_progress
 
 _ARCHIVE_MAGIC: Final = b"PK\x03\x04"
-_ARCHIVE_SUFFIX: Final = ".zip"
+ARCHIVE_SUFFIX: Final = ".zip"
+"""The suffix of ZIP archives."""
 
 
 def local_file(path: str | os.PathLike[str], *, on_bytes: ByteProgress = ignore_progress) -> Path:
@@ -44,9 +45,9 @@ def local_file(path: str | os.PathLike[str], *, on_bytes: ByteProgress = ignore_
 
 def archive_of(path: str | os.PathLike[str]) -> Path | None:
     """Return the ZIP archive that a path leads into; None for the path of a file or folder."""
-    if _ARCHIVE_SUFFIX not in os.fspath(path).lower():
+    if ARCHIVE_SUFFIX not in os.fspath(path).lower():
         return None
-    files = (parent for parent in Path(path).parents if parent.suffix.lower() == _ARCHIVE_SUFFIX)
+    files = (parent for parent in Path(path).parents if parent.suffix.lower() == ARCHIVE_SUFFIX)
     return next((file for file in files if file.is_file()), None)
 
 

@@ -47,6 +47,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="sequence",
+    words="frames animation ply-sequence flipbook video",
     summary="A sequence of splat files, as one small model that plays.",
     reads="Reads a folder of numbered splat files, a pattern, or a list of files. Row i of each "
     "file is the same Gaussian.",
