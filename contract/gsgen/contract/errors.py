@@ -138,7 +138,7 @@ def names_meant(word: str, words: Mapping[str, str]) -> list[str]:
     """Return the names that people mean by another word: by meaning, not by letters.
 
     Args:
-        word: What was typed; case, ``_`` for ``-`` and leading hyphens do not matter.
+        word: The typed word; case, ``_`` for ``-`` and leading hyphens do not matter.
         words: Name → the other words for it, separated by spaces.
     """
     typed = word.lstrip("-").replace("_", "-").casefold()

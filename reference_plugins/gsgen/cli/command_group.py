@@ -100,7 +100,7 @@ class _CommandGroup(TyperGroup):
 
 
 class SubcommandGroup(TyperGroup):
-    """A group of commands below one of gsgen's, such as tiles, whose errors name what was meant."""
+    """A group of commands below one of gsgen's, such as tiles, whose errors name the call that was meant."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first argument names; raise for an unknown name."""

@@ -109,7 +109,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "validate",
             "Check whether the given ONNX models conform to the Gaussian Generator contract.",
             "checking.validate:validate",
-            "check lint verify test validator checker polygraphy judge conform",
+            "check lint verify test validator checker polygraphy conform",
             __help="targets levels",
         ),
         _make_command(

@@ -71,7 +71,7 @@ _OPTION_WORDS: Final = {
 
 _ADVICE: Final = {
     "A video of 5 s has --frames 125 --fps 25.": "duration seconds length t",
-    "Everything is printed already; --help tells whether --json prints more.": "verbose debug v vv",
+    "Everything is printed already; some commands print more as --json.": "verbose debug v vv",
     "Existing files are replaced without asking: leave it out.": "overwrite y yes f force w replace",
     "It prints to standard output: > FILE writes that to a file.": "o output out report write",
     "Name the file without an option, after the command.": (
