@@ -2,8 +2,9 @@
 
 __all__ = ["PLUGIN", "build"]
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -12,6 +13,9 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin
 
 if TYPE_CHECKING:
     from gsgen.sdk.sequences.clip_source import ClipSource
+
+_USUAL_QUALITY: Final = 75
+_QUALITY_STEPS: Final = 12  # so many steps halve the error
 
 
 def build(
@@ -26,16 +30,62 @@ def build(
     fps: Fps = None,
     *,
     loop: Loop = False,
+    quality: Annotated[
+        int,
+        typer.Option(
+            help="From 1 to 100; 12 more halve the error, 75 is an error of 0.08.", min=1, max=100
+        ),
+    ] = _USUAL_QUALITY,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest mean error of centres, in radii of each Gaussian; other errors follow.",
+            show_default="by --quality",
+            min=0.001,
+            max=10,
+        ),
+    ] = None,
+    max_bytes: Annotated[
+        int | None, typer.Option(help="Let errors grow until the tables have so many bytes.", min=1)
+    ] = None,
+    moments: Annotated[
+        int,
+        typer.Option(
+            help="Draw so many moments of the model and of the frames, and print PSNR and SSIM.",
+            min=0,
+        ),
+    ] = 4,
 ) -> "ClipSource":
     """Read frames of splats for their export as an ONNX generator with the input time."""
+    from gsgen.contract.errors import ConfigInvalid
     from gsgen.reference_plugins.sequences.frame_files import FrameFiles
     from gsgen.sdk.sequences.clip_source import ClipSource
+    from gsgen.sdk.sequences.encoding import USUAL_ERROR, ErrorBudget
 
+    if error is not None and quality != _USUAL_QUALITY:
+        message, hint = "is given beside --error", "Give one of the two."
+        raise ConfigInvalid(message, where="--quality", hint=hint)
+    factor = 2.0 ** ((_USUAL_QUALITY - quality) / _QUALITY_STEPS)
     files = FrameFiles.of(frames)
     note(f"{len(files.paths):,} frames, {files.paths[0]} to {files.paths[-1]}")
+    names = [str(path) for path in files.paths]
     return ClipSource(
-        names=[str(path) for path in files.paths], read=files.read, fps=fps, loop=loop
+        names=names,
+        read=files.read,
+        fps=fps,
+        loop=loop,
+        budget=ErrorBudget().scaled(factor if error is None else error / USUAL_ERROR),
+        max_bytes=max_bytes,
+        measure=partial(_measure, read=files.read, names=names, moments=moments)
+        if moments
+        else None,
     )
+
+
+def _measure(path: Path, **options: Any) -> Any:
+    from gsgen.reference_plugins.sequences.clip_loss import measure_loss
+
+    return measure_loss(path, **options)
 
 
 def _write_demo(folder: Path) -> list[str]:

@@ -17,10 +17,10 @@ __all__ = [
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
@@ -148,6 +148,8 @@ class Exported:
         float16_result: Which nodes and weights became float16; None if the outputs are float32.
         stages: The stages of the export, with their processor time.
         folded: The operations that were computed before the trace; None if torch traced all of the module.
+        measured: Measurements by name, for the JSON report.
+        lines: The same as text, a line each.
     """
 
     path: Path
@@ -161,6 +163,8 @@ class Exported:
     float16_result: "Float16Result | Float16ImageResult | None" = None
     stages: tuple[Stage, ...] = ()
     folded: FoldedConstants | None = None
+    measured: Mapping[str, Any] | None = None
+    lines: tuple[str, ...] = ()
 
 
 class GraphSource(ABC):

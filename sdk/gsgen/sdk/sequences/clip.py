@@ -16,6 +16,10 @@ DIGIT_ZERO: Final = 128
 """The byte of a table that stands for zero."""
 
 
+TABLE_NAMES: Final = ("place", "motion", "factors", "opacity", "color")
+"""The tables of a group."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
     """Values of ``planes`` columns and n rows at every moment, as a sum over R components.
@@ -78,6 +82,11 @@ class RowGroup:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def component_counts(self) -> dict[str, int]:
+        """Return the number of bytes of each attribute's table for one number of one Gaussian."""
+        tables = {name: getattr(self, name) for name in TABLE_NAMES}
+        return {name: len(table.digits) for name, table in tables.items() if table is not None}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
@@ -90,6 +99,10 @@ class Palette:
 
     entries: Table
     labels: Int64[np.ndarray, " n"]
+
+    def reordered(self, rows: Int64[np.ndarray, " n"]) -> "Palette":
+        """Return the palette for rows in another order."""
+        return Palette(self.entries, self.labels[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -112,6 +125,21 @@ class Clip:
 
     def __len__(self) -> int:
         return sum(len(group) for group in self.groups)
+
+    def bytes_by_attribute(self) -> dict[str, int]:
+        """Return the bytes of the tables of each attribute, and of the palette of SH."""
+        totals = {"size": sum(group.size.nbytes for group in self.groups)}
+        for name in TABLE_NAMES:
+            tables: list[Table | None] = [getattr(group, name) for group in self.groups]
+            totals[name] = sum(table.nbytes for table in tables if table is not None)
+        if self.palette is not None:
+            totals["palette"] = self.palette.entries.nbytes + 2 * len(self.palette.labels)
+        return totals
+
+    @property
+    def nbytes(self) -> int:
+        """The bytes of all tables."""
+        return sum(self.bytes_by_attribute().values())
 
     @property
     def channels(self) -> int:

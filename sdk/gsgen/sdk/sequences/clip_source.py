@@ -3,12 +3,12 @@
 __all__ = ["ClipSource", "FrameReader"]
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float32
@@ -31,6 +31,7 @@ from gsgen.contract.spec.manifest import (
     Tolerances,
 )
 from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.constant_generator import ConstantRows
@@ -60,6 +61,9 @@ _BOUNDS_MARGIN: Final = 0.01
 # Rounding of float32 sums over components, relative to the largest number of a column.
 _PARITY_TOLERANCE: Final = 2e-5
 _BASE_CHANNELS: Final = 3
+# The largest factor of errors that --max-bytes may lead to, and the encodings to find the least.
+_MAX_FACTOR_BITS: Final = 5.0
+_BISECTIONS: Final = 5
 _COMPARED_TIMES: Final = (0.0, 0.37, 0.5, 1.0)
 
 
@@ -73,6 +77,8 @@ class ClipSource(GraphSource):
         fps: Frames a second at natural speed.
         loop: Whether the end continues at the start.
         budget: Errors that the encoded sequence may have.
+        max_bytes: Bytes that the tables may have: errors grow until they fit.
+        measure: Measures the loss of a written clip, as numbers by name and as lines of text.
     """
 
     names: Sequence[str]
@@ -80,6 +86,8 @@ class ClipSource(GraphSource):
     fps: float | None = None
     loop: bool = False
     budget: ErrorBudget = field(default_factory=ErrorBudget)
+    max_bytes: int | None = None
+    measure: Callable[[Path], tuple[Mapping[str, Any], tuple[str, ...]]] | None = None
 
     def export(
         self,
@@ -122,6 +130,10 @@ class ClipSource(GraphSource):
             progress("comparing the model with its tables")
             _check_written_clip(draft, clip, manifest, options.limits)
             report = check_contract(draft, options)
+            options.progress("measuring the loss")
+            loss, lines = self.measure(draft) if self.measure is not None else ({}, ())
+        sizes = clip.bytes_by_attribute()
+        by_size = ", ".join(f"{name} {format_bytes(size)}" for name, size in sizes.items())
         return Exported(
             path=path,
             manifest=manifest,
@@ -129,6 +141,17 @@ class ClipSource(GraphSource):
             dtype="float32",
             contents=f"{clip.frames:,} frames of {len(clip):,} Gaussians",
             notes=notes,
+            measured={
+                "frames": clip.frames,
+                "rows": len(clip),
+                "file_bytes": path.stat().st_size,
+                "table_bytes": sizes,
+                "components": [
+                    {"rows": len(group), **group.component_counts()} for group in clip.groups
+                ],
+                **loss,
+            },
+            lines=(f"tables: {by_size}", *lines),
         )
 
     def _encode(self, options: ExportOptions) -> tuple[Clip, GeneratorManifest, tuple[str, ...]]:
@@ -152,24 +175,50 @@ class ClipSource(GraphSource):
                 if first.space == "sh":
                     change = _higher_terms(frame) - _higher_terms(first)
                     largest_change = max(largest_change, float(np.abs(change).max(initial=0.0)))
-            options.progress("encoding")
-            groups = encode_groups(store, self.budget, loop=self.loop)
-            rows = np.concatenate([group.rows for group in groups])
-            palette = make_clip_palette(_higher_terms(first), rows) if first.space == "sh" else None
+            clip = self._fitting_clip(store, first, options.progress)
             if largest_change > self.budget.color:
                 notes.append(
                     "SH coefficients beyond the constant term change by up to "
                     f"{largest_change:.2g}; those of the first frame are stored"
                 )
-            clip = Clip(
+            corners = np.stack([store.low, store.high])
+        return clip, self._manifest(clip, first, corners, options), tuple(notes)
+
+    def _fitting_clip(self, store: FrameStore, first: ConstantRows, progress: Progress) -> Clip:
+        """Encode the frames; of the budgets whose tables fit ``max_bytes``, take the smallest."""
+        progress("encoding")
+        palette = make_clip_palette(_higher_terms(first)) if first.space == "sh" else None
+
+        def encode(factor: float) -> Clip:
+            groups = encode_groups(store, self.budget.scaled(factor), loop=self.loop)
+            rows = np.concatenate([group.rows for group in groups])
+            return Clip(
                 groups=groups,
-                palette=palette,
+                palette=None if palette is None else palette.reordered(rows),
                 space=first.space,
                 frames=store.frames,
                 loop=self.loop,
             )
-            corners = np.stack([store.low, store.high])
-        return clip, self._manifest(clip, first, corners, options), tuple(notes)
+
+        clip = encode(1.0)
+        if self.max_bytes is None or clip.nbytes <= self.max_bytes:
+            return clip
+        # Bisect the logarithm of the factor.
+        low, high = 0.0, _MAX_FACTOR_BITS
+        fitting = smallest = encode(2.0**high)
+        if smallest.nbytes > self.max_bytes:
+            message = f"{self.max_bytes:,} bytes are too few: the coarsest tables have {smallest.nbytes:,}"
+            hint = "Give more bytes, or leave out frames or Gaussians."
+            raise ConfigInvalid(message, where="--max-bytes", hint=hint)
+        for step in range(_BISECTIONS):
+            progress(f"encoding, size {step + 1} of {_BISECTIONS}")
+            middle = (low + high) / 2
+            clip = encode(2.0**middle)
+            if clip.nbytes <= self.max_bytes:
+                fitting, high = clip, middle
+            else:
+                low = middle
+        return fitting
 
     def _manifest(
         self,

@@ -1,9 +1,9 @@
 """Encodes the frames of a sequence as a clip: groups of rows, each with tables of its own."""
 
-__all__ = ["ErrorBudget", "encode_groups"]
+__all__ = ["USUAL_ERROR", "ErrorBudget", "encode_groups"]
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,10 @@ _MIN_GROUP_SHARE, _MIN_GROUP_ROWS = 0.01, 64
 _KEY_STRIDES: Final = (1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
 
 
+USUAL_ERROR: Final = 0.08
+"""The error of centres of the default budget, in units of each Gaussian's size."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorBudget:
     """Errors that an encoded sequence may have, each as a root mean square over a frame's rows.
@@ -33,20 +37,15 @@ class ErrorBudget:
         color: Of the base colour: RGB, or the constant SH term.
     """
 
-    motion: float = 0.08
+    motion: float = USUAL_ERROR
     factors: float = 0.03
     opacity: float = 0.015
     color: float = 0.01
 
-    @classmethod
-    def scaled(cls, factor: float) -> "ErrorBudget":
-        """Return the default budget, all errors times a factor."""
-        usual = cls()
-        return cls(
-            motion=usual.motion * factor,
-            factors=usual.factors * factor,
-            opacity=usual.opacity * factor,
-            color=usual.color * factor,
+    def scaled(self, factor: float) -> "ErrorBudget":
+        """Return the budget with all errors times a factor."""
+        return ErrorBudget(
+            **{entry.name: getattr(self, entry.name) * factor for entry in fields(self)}
         )
 
 
@@ -185,7 +184,7 @@ class _GroupEncoder:
         return {
             "motion": 2 * budget.motion,
             "factors": 2 * budget.factors,
-            "opacity": 1 / 254,
+            "opacity": max(1 / 254, budget.opacity / 4),
             "color": budget.color,
         }
 

@@ -5,7 +5,7 @@ __all__ = ["make_clip_palette"]
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32
 
 from gsgen.formats.sog.palette import make_palette, nearest_entries
 from gsgen.sdk.sequences.clip import Palette
@@ -18,20 +18,17 @@ _LARGEST_DIGIT: Final = 127
 _CLIPPED_SHARE: Final = 1e-4
 
 
-def make_clip_palette(
-    coefficients: Float32[np.ndarray, "n k"], rows: Int64[np.ndarray, " n"]
-) -> Palette | None:
+def make_clip_palette(coefficients: Float32[np.ndarray, "n k"]) -> Palette | None:
     """Return the palette of SH coefficients beyond the constant term; None if all are zero.
 
     Args:
         coefficients: Coefficients of each row of the source, coefficient-major.
-        rows: The row of the source of each row of the clip.
     """
     if not coefficients.any():
         return None
-    size = int(np.clip(len(rows) // _ROWS_PER_ENTRY, _MIN_ENTRIES, _MAX_ENTRIES))
+    size = int(np.clip(len(coefficients) // _ROWS_PER_ENTRY, _MIN_ENTRIES, _MAX_ENTRIES))
     entries = coefficients
-    if len(rows) > size:
+    if len(coefficients) > size:
         entries = make_palette(coefficients, size)
     largest = float(np.quantile(np.abs(entries), 1 - _CLIPPED_SHARE)) or float(
         np.abs(entries).max()
@@ -39,5 +36,4 @@ def make_clip_palette(
     step = largest / _LARGEST_DIGIT
     table = digit_table([np.clip(entries, -largest, largest).T], np.ones((1, 1)), [step])
     stored = table.at(np.ones(1)).T.astype(np.float32)
-    labels = nearest_entries(coefficients, stored)
-    return Palette(table, labels[rows])
+    return Palette(table, nearest_entries(coefficients, stored))

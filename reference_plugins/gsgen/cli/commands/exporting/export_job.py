@@ -64,6 +64,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         notes=result.notes,
         stages=result.stages,
         folded=result.folded,
+        measured=result.measured,
     )
     emit_report(replace(request, dtype=result.dtype), source, outcome)
     if not request.as_json:
@@ -193,6 +194,8 @@ def _show_result(result: "Exported") -> None:
         show(render(report))
     size = format_bytes(result.path.stat().st_size)
     echo(f"{result.path}: {result.contents}, {size}; {_verdict_text(result)}")
+    for line in result.lines:
+        echo(line)
     if result.changes:
         rewrites = ", ".join(f"{change.rewrite} ({len(change.nodes)})" for change in result.changes)
         echo(f"rewritten: {rewrites}")

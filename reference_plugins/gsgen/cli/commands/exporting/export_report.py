@@ -3,6 +3,7 @@
 __all__ = ["ExportOutcome", "emit_report"]
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +37,7 @@ class ExportOutcome:
     notes: tuple[str, ...] = ()  # further facts for the user
     stages: "tuple[Stage, ...]" = ()  # the stages, with their processor time
     folded: "FoldedConstants | None" = None  # operations computed before the trace
+    measured: Mapping[str, Any] | None = None  # measurements by name
     error: GsgenError | None = None  # the error that stopped the export
 
 
@@ -57,6 +59,7 @@ def emit_report(request: ExportRequest, source: str, outcome: ExportOutcome) -> 
         "stages": [asdict(stage) for stage in outcome.stages],
         "constants": asdict(outcome.folded) if outcome.folded else None,
         "parity": _parity_as_dict(outcome.parity) if outcome.parity else None,
+        "measured": dict(outcome.measured) if outcome.measured else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
     }
     if request.report is not None:
