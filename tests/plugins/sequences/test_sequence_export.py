@@ -24,10 +24,23 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sequence")
     write_sequence(folder / "frames", rows=ROWS, frames=FRAMES)
     path = folder / "clip.onnx"
-    ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(path), "--fps", "24")
+    options = ("--fps", "24", "--report", str(folder / "report.json"))
+    ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(path), *options)
     assert ran.code == 0, ran.err
     assert f"{FRAMES} frames of {ROWS:,} Gaussians" in ran.out
+    assert "drawn at 2 frames and 2 moments between: PSNR" in ran.out
     return path
+
+
+def test_the_report_has_the_bytes_and_the_loss(clip: Path) -> None:
+    measured = json.loads((clip.parent / "report.json").read_text("utf-8"))["measured"]
+    assert (measured["frames"], measured["rows"]) == (FRAMES, ROWS)
+    assert 0.9 * measured["file_bytes"] - 60_000 < sum(measured["table_bytes"].values())
+    loss = measured["loss"]
+    assert [moment["frame"] for moment in loss["moments"]] == [0, 11, 0.5, 10.5]
+    assert loss["psnr_worst"] == min(moment["psnr"] for moment in loss["moments"]) > 45
+    assert loss["ssim_mean"] > 0.99
+    assert loss["worst_frame"].endswith(".ply")
 
 
 def test_the_clip_conforms_and_is_smaller_than_its_frames(clip: Path) -> None:
@@ -67,7 +80,7 @@ def test_a_pattern_a_list_and_a_folder_give_the_same_bytes(
     files = sorted(str(path) for path in Path("frames").iterdir())
     for frames in (["frames/%04d.ply"], files):
         path = tmp_path / "clip.onnx"
-        options = ("-o", str(path), "--fps", "24", "--level", "static")
+        options = ("-o", str(path), "--fps", "24", "--level", "static", "--moments", "0")
         assert gsgen_here("export", "sequence", *frames, *options).code == 0
         assert path.read_bytes() == clip.read_bytes()
 
@@ -79,8 +92,9 @@ def test_files_that_are_not_a_sequence_are_refused(
     write_ply("a.ply", moving_knot(0.0, 20))
     write_ply("b.ply", moving_knot(0.5, 30))
     Path("empty").mkdir()
+    quality = ["a.ply", "b.ply", "--quality", "50", "--error", "0.1"]
     for frames, message in (
-        (["a.ply", "b.ply"], "b.ply: Gaussians: 30, expected 20 as in a.ply"),
+        (quality, "--quality: is given beside --error"),
         (["a.ply"], "has 1 frame, expected two or more"),
         (["empty"], "empty: is not a folder of two or more numbered splat files"),
         (["frames/%d.ply"], "frames/%d.ply"),

@@ -22,6 +22,7 @@ from gsgen.sdk.binding.frame import Frame
 from gsgen.sdk.binding.session import FrameSession
 from gsgen.sdk.exporting.constant_generator import ConstantRows
 from gsgen.sdk.sequences.clip_source import FrameReader
+from gsgen.sdk.sequences.correspondence import rows_correspond
 from gsgen.sdk.sequences.frame_store import cholesky_factors
 from gsgen.tiles.scoring.ssim import ssim
 
@@ -62,6 +63,8 @@ def measure_loss(
         camera = _camera([read(number) for number in (0, count // 2, count - 1)])
         for place in (*frames.tolist(), *between.tolist()):
             source = _source_moment(read, place)
+            if source is None:
+                continue
             frame = session.run({"time": np.array([place / count], np.float32)}, copy=True)
             played = _played(frame, session.manifest, source)
             pictures = [_picture(renderer, moment, camera) for moment in (played, source)]
@@ -80,7 +83,7 @@ def measure_loss(
     is_between = worst["frame"] % 1 != 0
     where = f"{'after ' if is_between else ''}{document['worst_frame']}"
     line = (
-        f"drawn at {len(frames)} frames and {len(between)} moments between: PSNR {mean:.1f} dB, "
+        f"drawn at {len(frames)} frames and {len(rows) - len(frames)} moments between: PSNR {mean:.1f} dB, "
         f"SSIM {document['ssim_mean']:.4f}; worst {worst['psnr']:.1f} dB, {where}"
     )
     return {"loss": document}, (line,)
@@ -95,13 +98,15 @@ def _camera(frames: Sequence[ConstantRows]) -> Camera:
     return Camera.look_at(tuple(eye), tuple(centre), width=width, height=height, fov_y=_FOV)
 
 
-def _source_moment(read: FrameReader, place: float) -> ConstantRows:
-    """Return the source at a frame, or interpolated between two frames."""
+def _source_moment(read: FrameReader, place: float) -> ConstantRows | None:
+    """Return the source at a frame, or interpolated between two frames whose rows correspond."""
     low = int(place)
     first, part = read(low), place - low
     if not part:
         return first
     second = read(low + 1)
+    if not rows_correspond(first, second):
+        return None
     rows = (1 - part) * first.rows + part * second.rows
     factors = [cholesky_factors(frame.rows[:, layout.COVARIANCE]) for frame in (first, second)]
     l00, l10, l20, l11, l21, l22 = ((1 - part) * factors[0] + part * factors[1]).T
@@ -116,7 +121,7 @@ def _source_moment(read: FrameReader, place: float) -> ConstantRows:
     return _with_rows(first, rows, appearance)
 
 
-def _played(frame: Frame, manifest: Manifest, source: ConstantRows) -> ConstantRows:
+def _played(frame: Frame, manifest: Manifest | None, source: ConstantRows) -> ConstantRows:
     assert isinstance(manifest, GeneratorManifest)
     outputs = manifest.outputs
     assert outputs.gaussians is not None

@@ -49,9 +49,11 @@ from gsgen.sdk.model_runs import run_in_groups
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.sequences.clip import Clip
 from gsgen.sdk.sequences.clip_graph import clip_model
+from gsgen.sdk.sequences.correspondence import rows_correspond
 from gsgen.sdk.sequences.decoding import decode_moment
 from gsgen.sdk.sequences.encoding import ErrorBudget, encode_groups
-from gsgen.sdk.sequences.frame_store import FrameStore
+from gsgen.sdk.sequences.frame_store import FrameStore, higher_terms
+from gsgen.sdk.sequences.matching import track_frames
 from gsgen.sdk.sequences.palettes import make_clip_palette
 
 FrameReader = Callable[[int], ConstantRows]
@@ -60,7 +62,6 @@ FrameReader = Callable[[int], ConstantRows]
 _BOUNDS_MARGIN: Final = 0.01
 # Rounding of float32 sums over components, relative to the largest number of a column.
 _PARITY_TOLERANCE: Final = 2e-5
-_BASE_CHANNELS: Final = 3
 # The largest factor of errors that --max-bytes may lead to, and the encodings to find the least.
 _MAX_FACTOR_BITS: Final = 5.0
 _BISECTIONS: Final = 5
@@ -69,7 +70,7 @@ _COMPARED_TIMES: Final = (0.0, 0.37, 0.5, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipSource(GraphSource):
-    """Frames whose rows correspond: row i is the same Gaussian in each of them.
+    """Frames of Gaussians; where row i is not the same Gaussian in each, rows are matched.
 
     Attributes:
         names: The names of the frames, for messages; two or more.
@@ -105,7 +106,7 @@ class ClipSource(GraphSource):
 
         Raises:
             ConfigInvalid: An option is not one of clips, or there are fewer than two frames.
-            GeneratorInvalid: The frames differ in their kind or in their number of rows.
+            GeneratorInvalid: The frames differ in their kind, or their Gaussians do not match.
             ParityFailed: ONNX Runtime computes other values than the tables hold.
             ExportRejected: The model breaks a rule.
         """
@@ -162,32 +163,48 @@ class ClipSource(GraphSource):
             raise ConfigInvalid(message, where="FRAMES", hint=hint)
         first = self.read(0)
         notes = list(first.notes)
-        with closing(FrameStore(len(first.rows))) as store:
-            largest_change = 0.0
-            for number, frame_name in enumerate(self.names):
-                options.progress(f"reading frame {number + 1} of {len(self.names)}")
-                frame = first if number == 0 else self.read(number)
-                _require_equal_kind(frame, first, frame_name, self.names[0])
-                store.append(
-                    frame.rows.astype(np.float32),
-                    frame.appearance[:, :_BASE_CHANNELS].astype(np.float32),
+        with closing(FrameStore(first)) as store:
+            if not self._store_corresponding(store, first, options.progress):
+                tracked = track_frames(self.read, len(self.names), options.progress)
+                first = tracked.births
+                notes.append(
+                    f"rows of the frames do not correspond: {len(first.rows):,} Gaussians were "
+                    f"matched, of up to {tracked.largest:,} in a frame"
                 )
-                if first.space == "sh":
-                    change = _higher_terms(frame) - _higher_terms(first)
-                    largest_change = max(largest_change, float(np.abs(change).max(initial=0.0)))
-            clip = self._fitting_clip(store, first, options.progress)
-            if largest_change > self.budget.color:
+                store.restart(first)
+                rows = first.rows
+                for number in range(len(self.names)):
+                    options.progress(f"reading frame {number + 1} of {len(self.names)}")
+                    rows, appearance = tracked.frame(number, rows)
+                    store.append(rows, appearance)
+            if store.largest_change > self.budget.color:
                 notes.append(
                     "SH coefficients beyond the constant term change by up to "
-                    f"{largest_change:.2g}; those of the first frame are stored"
+                    f"{store.largest_change:.2g}; the first ones of each Gaussian are stored"
                 )
+            clip = self._fitting_clip(store, first, options.progress)
             corners = np.stack([store.low, store.high])
         return clip, self._manifest(clip, first, corners, options), tuple(notes)
+
+    def _store_corresponding(
+        self, store: FrameStore, first: ConstantRows, progress: Progress
+    ) -> bool:
+        """Store the frames, and return whether their rows correspond; stop if they do not."""
+        previous = first
+        for number, name in enumerate(self.names):
+            progress(f"reading frame {number + 1} of {len(self.names)}")
+            frame = first if number == 0 else self.read(number)
+            _require_equal_kind(frame, first, name, self.names[0])
+            if not rows_correspond(previous, frame):
+                return False
+            store.append(frame.rows, frame.appearance)
+            previous = frame
+        return True
 
     def _fitting_clip(self, store: FrameStore, first: ConstantRows, progress: Progress) -> Clip:
         """Encode the frames; of the budgets whose tables fit ``max_bytes``, take the smallest."""
         progress("encoding")
-        palette = make_clip_palette(_higher_terms(first)) if first.space == "sh" else None
+        palette = make_clip_palette(higher_terms(first.appearance)) if first.space == "sh" else None
 
         def encode(factor: float) -> Clip:
             groups = encode_groups(store, self.budget.scaled(factor), loop=self.loop)
@@ -262,18 +279,12 @@ class ClipSource(GraphSource):
         )
 
 
-def _higher_terms(frame: ConstantRows) -> Float32[np.ndarray, "n k"]:
-    """Return the SH coefficients beyond the constant term."""
-    return np.asarray(frame.appearance[:, _BASE_CHANNELS:], np.float32)
-
-
 def _require_equal_kind(
     frame: ConstantRows, first: ConstantRows, name: str, first_name: str
 ) -> None:
     """Raise if a frame differs from the first one in what its numbers are."""
     facts = [
         {
-            "Gaussians": f"{len(entry.rows):,}",
             "space": entry.space,
             "channels": str(entry.appearance.shape[1]),
             "color space": entry.color_space,
@@ -285,7 +296,7 @@ def _require_equal_kind(
     for key, actual in facts[0].items():
         if actual != facts[1][key]:
             message = f"{key}: {actual}, expected {facts[1][key]} as in {first_name}"
-            hint = "Frames of a sequence have equal rows: row i is the same Gaussian in each."
+            hint = "Frames of a sequence have colours of one kind."
             raise GeneratorInvalid(message, where=name, hint=hint)
 
 

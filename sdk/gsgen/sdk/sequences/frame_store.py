@@ -4,17 +4,17 @@ A frame is written once, as it arrives. The encoder then reads blocks of rows ov
 that its memory depends on the number of frames, not on that of Gaussians.
 """
 
-__all__ = ["COLOR", "FrameStore", "cholesky_factors"]
+__all__ = ["BASE_CHANNELS", "COLOR", "FrameStore", "cholesky_factors", "higher_terms"]
 
 import tempfile
 from collections.abc import Iterator
 from typing import IO, Final
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 
 from gsgen.contract.spec import layout
-from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.exporting.constant_generator import ConstantRows
 
 # Bytes of a block of rows over all frames, in float32.
 _BLOCK_BYTES: Final = 64 << 20
@@ -23,13 +23,15 @@ _BLOCK_BYTES: Final = 64 << 20
 _MIN_VARIANCE_SHARE: Final = 1e-7
 _MIN_TRACE: Final = 1e-30
 
-COLUMNS: Final = layout.ROW_LENGTH + 3
+BASE_CHANNELS: Final = 3
+"""Channels of RGB, or of the constant term of SH."""
+COLUMNS: Final = layout.ROW_LENGTH + BASE_CHANNELS
 """Numbers of a stored row."""
 COLOR: Final = slice(layout.ROW_LENGTH, COLUMNS)
 """The columns of the base colour."""
 
 
-def cholesky_factors(covariance: Float32[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
+def cholesky_factors(covariance: Float[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
     """Return the Cholesky factors L of covariances Σ = L Lᵀ, as l00 l10 l20 l11 l21 l22.
 
     The diagonal of L is positive. Pivots are at least 10⁻⁷ of the trace of Σ.
@@ -44,6 +46,11 @@ def cholesky_factors(covariance: Float32[np.ndarray, "n 6"]) -> Float64[np.ndarr
     return np.stack([l00, l10, l20, l11, l21, l22], axis=1)
 
 
+def higher_terms(appearance: Float[np.ndarray, "n c"]) -> Float32[np.ndarray, "n k"]:
+    """Return the SH coefficients beyond the constant term; none of RGB."""
+    return np.asarray(appearance[:, BASE_CHANNELS:], np.float32)
+
+
 class FrameStore:
     """Frames of packed Gaussians in a temporary file, with Cholesky factors for covariances.
 
@@ -51,29 +58,31 @@ class FrameStore:
     three channels. The file is removed when the store is closed.
 
     Args:
-        rows: Gaussians of every frame.
+        first: The first frame, whose SH coefficients stand for those of all frames.
     """
 
-    def __init__(self, rows: int) -> None:
-        self.rows, self.frames = rows, 0
-        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+    def __init__(self, first: ConstantRows) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile(prefix="gsgen-frames-")  # noqa: SIM115
+        self.restart(first)
 
-    def append(self, rows: Float32[np.ndarray, "n 10"], color: Float32[np.ndarray, "n 3"]) -> None:
-        """Add the packed Gaussians of the next frame, and RGB or the constant term of SH.
+    def restart(self, first: ConstantRows) -> None:
+        """Forget all frames; the next ones have the rows of ``first``."""
+        self.rows, self.frames = len(first.rows), 0
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self.largest_change = 0.0  # of SH coefficients beyond the constant term
+        self._higher_terms = higher_terms(first.appearance)
+        self._file.truncate(0)
 
-        Raises:
-            GeneratorInvalid: The number of rows is not that of the store.
-        """
-        if len(rows) != self.rows:
-            message = f"has {len(rows):,} Gaussians, expected {self.rows:,}"
-            raise GeneratorInvalid(message, where=f"frame {self.frames}")
-        stored = np.concatenate([rows, color], axis=1, dtype=np.float32)
+    def append(self, rows: Float[np.ndarray, "n 10"], appearance: Float[np.ndarray, "n c"]) -> None:
+        """Add the packed Gaussians and the appearance of the next frame."""
+        stored = np.concatenate([rows, appearance[:, :BASE_CHANNELS]], axis=1, dtype=np.float32)
         stored[:, layout.COVARIANCE] = cholesky_factors(rows[:, layout.COVARIANCE])
         visible = stored[stored[:, layout.OPACITY] >= layout.CULL_OPACITY, layout.POSITION]
         if len(visible):
             self.low = np.minimum(self.low, visible.min(axis=0))
             self.high = np.maximum(self.high, visible.max(axis=0))
+        change = np.abs(higher_terms(appearance) - self._higher_terms).max(initial=0.0)
+        self.largest_change = max(self.largest_change, float(change))
         self._file.seek(0, 2)
         self._file.write(stored.tobytes())
         self.frames += 1
