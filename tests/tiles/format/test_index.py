@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.tiles.format.implicit_tiling.writing import write_implicit_tileset
+from gsgen.tiles.format.implicit_tiling.writing import implicit_uri, write_implicit_tileset
 from gsgen.tiles.format.index import ContentRecord, TileRecord, box_numbers, write_tileset
 from gsgen.tiles.format.metadata import TILE_CLASS, implicit_metadata_schema, metadata_schema
 from gsgen.tiles.loading.info import describe_tileset
@@ -131,15 +131,37 @@ def test_up_is_a_unit_vector_in_the_root_s_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 0, -1], atol=1e-12)
 
 
-def test_every_property_but_the_utility_is_required() -> None:
+_OPTIONAL = {"files", "worth"}  # of tiles with a single quality
+
+
+def test_the_properties_of_every_tile_are_required() -> None:
     explicit = metadata_schema()["classes"][TILE_CLASS]["properties"]
-    assert explicit["utility"]["required"] is False
+    assert {name for name, entry in explicit.items() if not entry["required"]} == _OPTIONAL
     properties = [
         entry
         for schema in (metadata_schema(), implicit_metadata_schema())
         for group in schema["classes"].values()
         for name, entry in group["properties"].items()
-        if name != "utility"
+        if name not in _OPTIONAL
     ]
     assert len(properties) > 10
     assert all(entry["required"] is True for entry in properties)
+
+
+@pytest.mark.parametrize("is_implicit", [False, True])
+def test_a_tile_tells_its_files_bytes_and_worth_at_each_quality(
+    tmp_path: Path, is_implicit: bool
+) -> None:
+    """Implicit tiles keep sizes and worth in tables, and addresses in a template."""
+    box = {"low": corner(0, 0, 0), "high": corner(1, 1, 1)}
+    contents = tuple(
+        ContentRecord(uri=implicit_uri(0, (0, 0, 0), q), size=90 - q, worth=1 - q / 8, **box)
+        for q in range(3)
+    )
+    root = record(0, (0, 0, 0), contents=contents)
+    write = write_implicit_tileset if is_implicit else write_tileset
+    write(tmp_path / "tileset.json", root, source_splats=1, sh_degree=0)
+    tile = next(tile for tile in open_tileset(tmp_path).tiles() if tile.contents)
+    assert tile.files == tuple(f"t/0/0_0_0-q{q}.glb" for q in range(3))
+    assert tile.file_sizes == (90, 89, 88)
+    assert tile.metadata["worth"] == [1, 0.875, 0.75]

@@ -49,7 +49,8 @@ def tree_of(parents: Sequence[int], distances: Sequence[float] | None = None) ->
 
 
 def ladder_of(sizes: Sequence[Sequence[float]], worth: Sequence[float]) -> QualityLadder:
-    return QualityLadder(tiles=(), size=np.array(sizes, np.float64), quality_scores=np.array(worth))
+    size = np.array(sizes, np.float64)
+    return QualityLadder(files=(), size=size, worth=np.tile(worth, (len(size), 1)))
 
 
 def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> TileCut:

@@ -79,12 +79,12 @@ def write_index(
         "transform": transform,
         "origin": plan.parameters.origin,
     }
-    subtrees: list[str] = []
+    subtrees: list[str] = []  # the indices of all qualities share them
     for name, quality in names.items():
         if plan.parameters.implicit:
             low = np.array(plan.cube.low)
             octree = replace(record, low=low, high=low + plan.cube.side)
-            subtrees += write_implicit_tileset(output / name, octree, **facts)
+            subtrees = write_implicit_tileset(output / name, octree, quality=quality, **facts)
         else:
             write_tileset(output / name, record, quality=quality, **facts)
     files = {
@@ -113,6 +113,7 @@ def _tile_record(tile: Tile) -> TileRecord:
             size=content.size,
             low=np.array(content.low),
             high=np.array(content.high),
+            worth=content.worth,
         )
         for content in tile.contents
     )

@@ -77,6 +77,8 @@ class BuildReport:
         tiles: Number of tiles; 0 if nothing had to be done.
         files: Files of the tileset.
         bytes: Of all files.
+        quality_bytes: Of all contents at each quality, finest first; empty if nothing had to be
+            done.
         up_to_date: Whether the tileset was there already.
     """
 
@@ -87,6 +89,7 @@ class BuildReport:
     tiles: int
     files: int
     bytes: int
+    quality_bytes: tuple[int, ...] = ()
     up_to_date: bool = False
 
 
@@ -171,6 +174,8 @@ def build_tileset(
             f"none of the {total:,} splats has finite values, expected at least one",
             where=files[0].path,
         )
+    is_implicit = not generators and parameters.is_implicit(splats)
+    parameters = replace(parameters, implicit=is_implicit)
     models = [f"generator {generator.sha256}" for generator in generators]
     key = parameters.key([*_content_digests(facts, chunks), *models])
     record = None if fresh else is_complete(output, key)
@@ -227,6 +232,10 @@ def _write_build_report(
         tiles=sum(1 for _ in walk(root)) + len(generators),
         files=len(files) + 1,
         bytes=sum(size for size, _ in files.values()),
+        quality_bytes=tuple(
+            sum(sizes)
+            for sizes in zip(*([c.size for c in tile.contents] for tile in walk(root)), strict=True)
+        ),
     )
 
 

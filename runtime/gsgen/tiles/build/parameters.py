@@ -12,8 +12,11 @@ from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.json_values import JsonDict
 
-ALGORITHM_VERSION: Final = 3
+ALGORITHM_VERSION: Final = 4
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""
+
+
+_IMPLICIT_LEAVES: Final = 1000  # full leaves: a scene has about twice as many tiles
 
 
 @final
@@ -29,7 +32,8 @@ class BuildParameters:
         codec: How contents are written.
         qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.SPZ_QUALITIES` that are written, finest
             first.
-        implicit: Whether the tree is an implicit octree.
+        implicit: Whether the tree is an implicit octree; None for scenes of about 2,000 tiles or
+            more, which have a short index so.
         transform: Of the root tile, scene → world: 16 numbers, column by column.
         turn_upright: Whether the scenes' declared upward direction is first turned to that of
             3DGS training, -y, which ``transform`` is for.
@@ -37,13 +41,17 @@ class BuildParameters:
             float32 needs.
     """
 
-    leaf: int = 65_536
+    leaf: int = 8_192
     codec: CodecName = "spz"
-    qualities: tuple[int, ...] = (0,)
-    implicit: bool = False
+    qualities: tuple[int, ...] = (0, 2, 4)
+    implicit: bool | None = None
     transform: tuple[float, ...]
     turn_upright: bool = False
     origin: Origin | None = None
+
+    def is_implicit(self, splats: int) -> bool:
+        """Return whether the tree of a scene of some splats is an implicit octree."""
+        return splats >= _IMPLICIT_LEAVES * self.leaf if self.implicit is None else self.implicit
 
     def as_dict(self) -> JsonDict:
         """Return the build parameters as a JSON object."""

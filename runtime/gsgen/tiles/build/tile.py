@@ -35,6 +35,7 @@ class Content:
         sha256: Of the bytes.
         low: Lower corner of the stored splats at 3σ, in the root frame.
         high: Upper corner of the same.
+        worth: How like the splats of the tile the stored ones are, 0 to 1.
     """
 
     path: str
@@ -42,6 +43,7 @@ class Content:
     sha256: str
     low: tuple[float, float, float]
     high: tuple[float, float, float]
+    worth: float
 
 
 @final
@@ -146,6 +148,7 @@ def _write(
             sha256=digest,
             low=_point_tuple(encoded.low.tolist()),
             high=_point_tuple(encoded.high.tolist()),
+            worth=round(encoded.worth, 4),
         )
         contents.append(content)
         degree = encoded.sh_degree

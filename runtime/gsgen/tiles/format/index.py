@@ -31,7 +31,7 @@ from gsgen.formats.shared.morton import interleave_bits
 from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION, SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
-from gsgen.tiles.format.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
+from gsgen.tiles.format.metadata import FILES_PROPERTY, TILE_CLASS, TILESET_CLASS, metadata_schema
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 
 BUILD_RECORD: Final = "gsgen.tiles.json"
@@ -50,14 +50,14 @@ class ContentRecord:
         size: Bytes of the file.
         low: Lower corner of its splats at 3σ, in the root frame.
         high: Upper corner of the same.
-        utility: Gain in quality from drawing it, in the unit of the caller; 0 if unknown.
+        worth: Similarity of its splats to those of the scene, 0 to 1.
     """
 
     uri: str
     size: int
     low: BoxCorner
     high: BoxCorner
-    utility: float = 0.0
+    worth: float = 1.0
 
 
 @final
@@ -226,8 +226,9 @@ def _metadata_properties(tile: TileRecord) -> JsonDict:
         "cell": float(tile.cell),
         "splats": tile.splats,
     }
-    if any(content.utility for content in tile.contents):
-        properties["utility"] = [float(content.utility) for content in tile.contents]
+    if len(tile.contents) > 1:
+        properties[FILES_PROPERTY] = [content.uri for content in tile.contents]
+        properties["worth"] = [float(np.float32(content.worth)) for content in tile.contents]
     return properties
 
 

@@ -1,15 +1,28 @@
 """The metadata schema of tilesets that gsgen writes."""
 
-__all__ = ["TILESET_CLASS", "TILE_CLASS", "implicit_metadata_schema", "metadata_schema"]
+__all__ = [
+    "FILES_PROPERTY",
+    "TILESET_CLASS",
+    "TILE_CLASS",
+    "implicit_metadata_schema",
+    "metadata_schema",
+]
 
 from typing import Final
 
 from gsgen.tiles.format.json_values import JsonDict
 
+FILES_PROPERTY: Final = "files"
+"""Property of tiles, and for implicit ones of the tileset: a content's address at each quality."""
 TILE_CLASS: Final = "gsgen_tile"
 TILESET_CLASS: Final = "gsgen_tileset"
 
 _SCALAR_PROPERTY: Final[JsonDict] = {"type": "SCALAR"}
+_FILES: Final[JsonDict] = {
+    "type": "STRING",
+    "array": True,
+    "description": "Address of the content at each quality, finest first.",
+}
 
 
 def metadata_schema(*, has_origin: bool = False) -> JsonDict:
@@ -31,11 +44,12 @@ def metadata_schema(*, has_origin: bool = False) -> JsonDict:
             "componentType": "UINT32",
             "description": "How many splats the content has.",
         },
-        "utility": {
+        FILES_PROPERTY: {**_FILES, "required": False},
+        "worth": {
             **_SCALAR_PROPERTY,
             "array": True,
             "componentType": "FLOAT32",
-            "description": "What drawing the content is worth at each quality.",
+            "description": "What drawing the content is worth at each quality, 0 to 1.",
             "required": False,
         },
     }
@@ -72,12 +86,14 @@ def metadata_schema(*, has_origin: bool = False) -> JsonDict:
     }
 
 
-def implicit_metadata_schema(*, has_origin: bool = False) -> JsonDict:
+def implicit_metadata_schema(*, has_origin: bool = False, quality_count: int = 1) -> JsonDict:
     """Return the metadata schema of an implicit tileset, whose subtrees have property tables."""
+    row = {"array": True, "count": quality_count} if quality_count > 1 else {}
     box = {"array": True, "componentType": "FLOAT64", "count": 12, **_SCALAR_PROPERTY}
     schema = metadata_schema(has_origin=has_origin)
     properties = {
         "box": {**box, "required": True, "semantic": "TILE_BOUNDING_BOX"},
+        "bytes": {**_SCALAR_PROPERTY, **row, "componentType": "UINT32", "required": True},
         "cell": {**_SCALAR_PROPERTY, "componentType": "FLOAT32", "required": True},
         "geometric_error": {
             **_SCALAR_PROPERTY,
@@ -86,7 +102,9 @@ def implicit_metadata_schema(*, has_origin: bool = False) -> JsonDict:
             "semantic": "TILE_GEOMETRIC_ERROR",
         },
         "splats": {**_SCALAR_PROPERTY, "componentType": "UINT32", "required": True},
+        "worth": {**_SCALAR_PROPERTY, **row, "componentType": "FLOAT32", "required": True},
     }
+    schema["classes"][TILESET_CLASS]["properties"][FILES_PROPERTY] = _FILES
     content = {"content_box": {**box, "required": True, "semantic": "CONTENT_BOUNDING_BOX"}}
     schema["classes"][TILE_CLASS] = {"properties": properties}
     schema["classes"][f"{TILE_CLASS}_content"] = {"properties": content}

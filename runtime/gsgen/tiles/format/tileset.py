@@ -1,6 +1,14 @@
 """A tileset in memory: a tree of tiles, independent of files."""
 
-__all__ = ["GLOBE_DISTANCES", "Z_UP_FROM_Y_UP", "Content", "RefineMode", "Tile", "Tileset"]
+__all__ = [
+    "GLOBE_DISTANCES",
+    "Z_UP_FROM_Y_UP",
+    "Content",
+    "RefineMode",
+    "Tile",
+    "Tileset",
+    "is_count",
+]
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -23,6 +31,14 @@ Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
 
 GLOBE_DISTANCES: Final = (6.25e6, 6.48e6)
 """Metres from the centre of the globe (ECEF) between which a scene stands on it."""
+
+
+_MAX_COUNT: Final = 1 << 48  # sums of counts stay within 64 bits
+
+
+def is_count(value: object) -> bool:
+    """Return whether metadata is a number of splats or bytes; it may be anything."""
+    return isinstance(value, int | np.integer) and 0 <= int(value) <= _MAX_COUNT
 
 
 @final
@@ -57,6 +73,8 @@ class Tile:
         level: 0 for the root.
         metadata: Properties by name, as far as they are numbers or arrays of them.
         neural: The generator that the tile holds, if it does.
+        files: The content's file at each quality, finest first, relative to the tileset's folder;
+            empty where the tileset does not tell.
     """
 
     location: str
@@ -69,6 +87,16 @@ class Tile:
     level: int = 0
     metadata: Mapping[str, Any] = field(default_factory=dict)
     neural: NeuralTile | None = None
+    files: tuple[str, ...] = ()
+
+    @property
+    def file_sizes(self) -> tuple[int, ...]:
+        """Bytes of the content at each quality, finest first; empty where metadata do not tell."""
+        sizes = self.metadata.get("bytes")
+        entries = sizes if isinstance(sizes, list) else [sizes]  # one quality of implicit tiles
+        if len(self.contents) != 1 or not all(map(is_count, entries)):
+            return ()
+        return tuple(map(int, entries))
 
     @property
     def is_finest(self) -> bool:

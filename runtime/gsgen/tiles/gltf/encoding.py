@@ -23,6 +23,7 @@ from gsgen.tiles.format.extensions import SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.axes import to_content_axes
+from gsgen.tiles.gltf.file_worth import file_worth
 from gsgen.tiles.gltf.spz_quality import SPZ_QUALITIES, encode_spz
 
 EXTENT_SIGMAS: Final = 3.0
@@ -45,6 +46,7 @@ class EncodedContent:
         high: Upper corner of the same.
         splats: How many splats are stored.
         sh_degree: Degree of the spherical harmonics that are stored.
+        worth: How like the splats the stored ones are, 0 to 1.
     """
 
     data: bytes
@@ -52,6 +54,7 @@ class EncodedContent:
     high: Float64[np.ndarray, " 3"]
     splats: int
     sh_degree: int
+    worth: float
 
 
 def write_content(
@@ -88,6 +91,7 @@ def write_content(
         high=high + center,
         splats=len(stored_splats),
         sh_degree=stored_splats.degree,
+        worth=1.0 if stored_splats is local else file_worth(local, stored_splats),
     )
 
 

@@ -63,7 +63,8 @@ SPZ_QUALITIES: Final = (
 def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     """Return an SPZ file of version 2, and the splats that a reader decodes from it.
 
-    Splats of degree 0 are in another order than ``local``, see ``_packing_order``.
+    Splats of degree 0 have another order in the file, see ``_packing_order``; those that are
+    returned have the order of ``local``.
 
     Args:
         local: With the axes of the file that holds them, of degree 3 or less.
@@ -81,8 +82,6 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     )
     for name, bits in settings.bits.items():
         content[name] = _round_to_bits(content[name], bits, least=int(name == _ALPHA_STREAM))
-    if local.degree == 0:
-        content = _reorder_rows(content, _packing_order(content))
     frame = container.Frame(
         version=SPZ_VERSION,
         count=len(local),
@@ -98,6 +97,8 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
         fractional_bits=fraction,
         antialiased=local.antialiased,
     )
+    if local.degree == 0:
+        content = _reorder_rows(content, _packing_order(content))
     return container.pack(frame, content), decoded
 
 

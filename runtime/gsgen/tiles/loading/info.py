@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-import numpy as np
-
-from gsgen.tiles.format.tileset import Content, Tile, Tileset
+from gsgen.tiles.format.tileset import Content, Tile, Tileset, is_count
 from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import ContentHeader, read_header
@@ -56,6 +54,8 @@ class TilesetInfo:
         transform: From the root frame to the world, row by row.
         extensions: glTF extensions that the contents require, as the tileset declares them.
         neural: How many tiles hold a generator.
+        quality_bytes: Bytes of all contents at each quality, finest first; empty unless all tiles
+            tell them for several qualities.
     """
 
     tiles: int
@@ -69,6 +69,7 @@ class TilesetInfo:
     transform: tuple[tuple[float, ...], ...]
     extensions: tuple[str, ...]
     neural: int
+    quality_bytes: tuple[int, ...]
 
 
 @final
@@ -122,7 +123,14 @@ def _describe_loaded_tileset(store: Store, tileset: Tileset) -> TilesetInfo:
         transform=tuple(tuple(map(float, row)) for row in tileset.transform),
         extensions=tileset.content_extensions or (),
         neural=sum(tile.neural is not None for tile in tiles),
+        quality_bytes=_quality_bytes([tile for tile in tiles if tile.contents]),
     )
+
+
+def _quality_bytes(tiles: list[Tile]) -> tuple[int, ...]:
+    sizes = [tile.file_sizes for tile in tiles]
+    has_qualities = len(set(map(len, sizes))) == 1 and len(sizes[0]) > 1
+    return tuple(map(sum, zip(*sizes, strict=True))) if has_qualities else ()
 
 
 def _level(level: int, pairs: list[tuple[Tile, _MeasuredFile]]) -> LevelInfo:
@@ -138,13 +146,11 @@ def _level(level: int, pairs: list[tuple[Tile, _MeasuredFile]]) -> LevelInfo:
 def _measured_from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _MeasuredFile | None:
     """Return a tile's splats, bytes and SH degree from gsgen metadata; None if one is missing."""
     degree, quality = profile.get("sh_degree"), profile.get("quality", 0)
-    splats, sizes = tile.metadata.get("splats"), tile.metadata.get("bytes")
-    whole = isinstance(splats, int | np.integer) and isinstance(degree, int)
-    is_size_list = isinstance(sizes, list) and all(isinstance(size, int) for size in sizes)
-    known = isinstance(quality, int) and quality >= 0
-    if not (whole and is_size_list and sizes and known and len(tile.contents) == 1):
+    splats, sizes = tile.metadata.get("splats"), tile.file_sizes
+    if not (isinstance(quality, int) and quality >= 0 and isinstance(degree, int)):
         return None
-    assert isinstance(degree, int)
+    if not (sizes and is_count(splats)):
+        return None
     return _MeasuredFile(int(splats or 0), sizes[min(quality, len(sizes) - 1)], degree)
 
 

@@ -1,4 +1,4 @@
-"""Finds each tile's content files at several SPZ qualities, in files ``tileset-qN.json``."""
+"""Finds each tile's content files at several SPZ qualities, and what each is worth."""
 
 __all__ = ["QualityLadder", "TileQualities", "load_ladder"]
 
@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.errors import ContentMissing, TilesetInvalid
+from gsgen.tiles.format.json_values import is_number
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.store import Store
 
-SSIM: Final = (0.9997, 0.9958, 0.9844, 0.9840, 0.9661)
-"""SSIM to the unrounded splats at each SPZ quality: 20,000 of degree 3, from a middle distance."""
+_SPZ_WORTH: Final = (0.9997, 0.9958, 0.9844, 0.9840, 0.9661)
+"""Worth of files that declare none: SSIM of 20,000 splats at each quality of SPZ."""
 
 
 @final
@@ -24,14 +25,14 @@ class QualityLadder:
     """The content files of each tile at several qualities, finest quality first.
 
     Attributes:
-        tiles: Tiles of each quality, depth first; they differ in their contents alone.
+        files: Address of each tile's content at each quality; empty for tiles without a content.
         size: Bytes of each tile's file at each quality; infinite for tiles without a content.
-        quality_scores: What a file shows at each quality, at most 1.
+        worth: What each tile's file shows at each quality, at most 1.
     """
 
-    tiles: tuple[tuple[Tile, ...], ...]
+    files: tuple[tuple[str, ...], ...]
     size: Float64[np.ndarray, "n q"]
-    quality_scores: Float64[np.ndarray, " q"]
+    worth: Float64[np.ndarray, "n q"]
 
 
 @final
@@ -56,7 +57,7 @@ class TileQualities:
 
     def next_quality(self, tile: int) -> int:
         """Return the quality at which a tile is requested next; called on threads."""
-        return 0 if self.gpu_quality[tile] >= 0 else len(self.ladder.quality_scores) - 1
+        return 0 if self.gpu_quality[tile] >= 0 else self.ladder.size.shape[1] - 1
 
     def size(self, tile: int, quality: int) -> int:
         """Return the number of bytes of a tile's content file at a quality."""
@@ -68,7 +69,9 @@ class TileQualities:
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:
-    """Read the files ``tileset-qN.json`` beside a tileset, in descending order of quality.
+    """Return the files of each tile at several qualities, as the tileset tells them.
+
+    Tilesets of gsgen 0.1 do not name the files: siblings ``tileset-qN.json`` do.
 
     Args:
         store: Of the tileset.
@@ -76,48 +79,53 @@ def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | N
         tileset: The tileset.
 
     Returns:
-        None if the metadata name no coarser quality, or siblings are missing or are other trees.
+        None if the metadata tell of no coarser quality than that of the index.
     """
     tiles = tuple(tileset.tiles())
-    sizes = [_sizes(tile) for tile in tiles]
-    count = max(map(len, sizes))
-    if count < 2 or any(len(size) not in (0, count) for size in sizes):
+    contents = [tile for tile in tiles if tile.contents]
+    counts = {len(tile.file_sizes) for tile in contents}
+    finest = tileset.metadata.get("quality", 0)
+    count = counts.pop() if len(counts) == 1 else 0
+    if not isinstance(finest, int) or not 0 <= finest < count - 1:
         return None
-    ladder: dict[int, tuple[Tile, ...]] = {}
-    for quality in range(len(SSIM)):
+    files = [tile.files for tile in contents]
+    if not all(len(uris) == count for uris in files):
+        siblings = _sibling_files(store, index, contents)
+        files = siblings if all(len(uris) == count for uris in siblings) else []
+    if not files:
+        return None
+    rows = [row for row, tile in enumerate(tiles) if tile.contents]
+    all_files: list[tuple[str, ...]] = [()] * len(tiles)
+    size, worth = np.full((len(tiles), count), np.inf), np.zeros((len(tiles), count))
+    for row, tile, uris in zip(rows, contents, files, strict=True):
+        all_files[row], size[row] = uris[finest:], tile.file_sizes
+        worth[row] = _worth(tile, count)
+    return QualityLadder(
+        files=tuple(all_files), size=size[:, finest:], worth=np.ascontiguousarray(worth[:, finest:])
+    )
+
+
+def _worth(tile: Tile, count: int) -> list[float]:
+    """Return the declared worth of a tile's files, or that of the first qualities of SPZ."""
+    worth = tile.metadata.get("worth")
+    if isinstance(worth, list) and len(worth) == count and all(map(is_number, worth)):
+        return worth
+    return list(_SPZ_WORTH[:: 2 if count < 4 else 1][:count])
+
+
+def _sibling_files(store: Store, index: str, tiles: list[Tile]) -> list[tuple[str, ...]]:
+    """Return each tile's files as the files ``tileset-qN.json`` beside an index name them."""
+    uris: list[tuple[str, ...]] = [()] * len(tiles)
+    for quality in range(len(_SPZ_WORTH)):
         path = str(PurePosixPath(index).with_name(f"tileset-q{quality}.json"))
         try:
-            sibling_tileset = load_tileset(store, path)
+            sibling = [tile for tile in load_tileset(store, path).tiles() if tile.contents]
         except ContentMissing:
             continue
         except TilesetInvalid:
-            return None
-        ladder[quality] = tuple(sibling_tileset.tiles())
-    have_same_tree = all(
-        _is_same_tree(tiles, sibling_tileset) for sibling_tileset in ladder.values()
-    )
-    if len(ladder) != count or not have_same_tree:
-        return None
-    finest_quality = tileset.metadata.get("quality", 0)
-    if not isinstance(finest_quality, int) or not 0 <= finest_quality < count - 1:
-        return None
-    missing_errors = [np.inf] * count
-    return QualityLadder(
-        tiles=tuple(ladder.values())[finest_quality:],
-        size=np.array([size or missing_errors for size in sizes], np.float64)[:, finest_quality:],
-        quality_scores=np.array([SSIM[quality] for quality in ladder])[finest_quality:],
-    )
-
-
-def _sizes(tile: Tile) -> list[int]:
-    sizes = tile.metadata.get("bytes")
-    return [int(size) for size in sizes] if isinstance(sizes, list) and tile.contents else []
-
-
-def _is_same_tree(tiles: tuple[Tile, ...], other_tiles: tuple[Tile, ...]) -> bool:
-    return len(tiles) == len(other_tiles) and all(
-        tile.level == other_tile.level
-        and len(tile.contents) == len(other_tile.contents) <= 1
-        and tile.metadata.get("bytes") == other_tile.metadata.get("bytes")
-        for tile, other_tile in zip(tiles, other_tiles, strict=True)
-    )
+            return []
+        if [tile.file_sizes for tile in sibling] != [tile.file_sizes for tile in tiles]:
+            return []
+        names = [tile.contents[0].uri for tile in sibling]
+        uris = [(*before, name) for before, name in zip(uris, names, strict=True)]
+    return uris

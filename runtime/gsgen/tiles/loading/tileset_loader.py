@@ -21,6 +21,7 @@ from gsgen.tiles.format.implicit_tiling.tree import (
     read_implicit,
 )
 from gsgen.tiles.format.json_values import JsonDict, JsonObject, shorten
+from gsgen.tiles.format.metadata import FILES_PROPERTY
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 from gsgen.tiles.format.neural_tile import NeuralTile, read_neural_tile
 from gsgen.tiles.format.tileset import Content, RefineMode, Tile, Tileset
@@ -92,19 +93,23 @@ class _Loader:
         self._store, self._limits, self._report = store, limits, report
         self._documents = DocumentReader(store, limits, report)
         self._tiles = 0
+        self._file_templates: tuple[str, ...] = ()  # of implicit tiles, by quality
 
     def tileset(self, index: str, name: str) -> Tileset:
         """Read the outermost ``tileset.json`` of a tileset."""
         document = self._documents.read_index(index)
         asset = document.child("asset")
         source = self._documents.describe(index, document, ())
+        metadata = _metadata_properties(document.optional("metadata"))
+        templates = metadata.get(FILES_PROPERTY)
+        if isinstance(templates, list) and all(isinstance(uri, str) for uri in templates):
+            self._file_templates = tuple(templates)
         root = document.child("root")
         transform = self._read_transform(root)
         parent = _Parent(np.eye(4), "REPLACE", 0)
         tree = self._tile(root, source, parent, own_transform=np.eye(4))
         extensions = document.optional("extensions")
         gltf = extensions.optional(CONTENT_EXTENSION) if extensions else None
-        metadata = document.optional("metadata")
         return Tileset(
             name=name,
             index=index,
@@ -115,7 +120,7 @@ class _Loader:
             extensions_used=document.texts("extensionsUsed"),
             extensions_required=document.texts("extensionsRequired"),
             content_extensions=gltf.texts("extensionsRequired") if gltf else None,
-            metadata=_metadata_properties(metadata),
+            metadata=metadata,
             y_up=asset.values.get("gltfUpAxis", "Y") != "Z",
         )
 
@@ -156,9 +161,20 @@ class _Loader:
         below = _Parent(transform, refine, parent.level + 1)
         contents, external_tiles = self._contents(entry, document, below)
         children = [*external_tiles]
+        files: list[str] = []
+        self._read_or_report(partial(self._append_files, files, entry, tile, document))
         for child in self._child_entries(entry):
             self._read_or_report(partial(self._append_tile, children, child, document, below))
-        return replace(tile, contents=contents, children=tuple(children))
+        return replace(tile, contents=contents, children=tuple(children), files=tuple(files))
+
+    def _append_files(
+        self, files: list[str], entry: JsonObject, tile: Tile, document: Document
+    ) -> None:
+        """Append the files of a tile at each quality, as its metadata name them."""
+        uris = tile.metadata.get(FILES_PROPERTY)
+        if isinstance(uris, list) and all(isinstance(uri, str) for uri in uris):
+            location = f"{entry.at('metadata')}.properties.{FILES_PROPERTY}"
+            files += [resolve_uri(document.path, uri, location) for uri in uris]
 
     def _append_tile(
         self, children: list[Tile], entry: JsonObject, document: Document, parent: _Parent
@@ -294,7 +310,13 @@ class _Loader:
     def _expand_implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
         self._count_tiles(-1, entry.location)
         tree = read_implicit(
-            entry, tile.volume, tile.geometric_error, tile.refine, document.path, document.classes
+            entry,
+            tile.volume,
+            tile.geometric_error,
+            tile.refine,
+            document.path,
+            document.classes,
+            self._file_templates if not document.parent_paths[1:] else (),
         )
 
         def load(tree: ImplicitTree, origin: TileCoordinates) -> Subtree | None:

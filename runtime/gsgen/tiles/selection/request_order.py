@@ -50,8 +50,6 @@ def finer_file_order(
     distance = np.linalg.norm(tree.center[rows] - eye, axis=1)
     area = np.minimum(reach / np.maximum(distance, 1e-9), 1.0) ** 2
     quality_gain = (
-        area
-        * (ladder.quality_scores[0] - ladder.quality_scores[quality[rows]])
-        / ladder.size[rows, 0]
+        area * (ladder.worth[rows, 0] - ladder.worth[rows, quality[rows]]) / ladder.size[rows, 0]
     )
     return np.asarray(rows[np.lexsort((rows, -quality_gain))])

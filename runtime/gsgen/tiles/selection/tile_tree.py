@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.errors import StoreUnavailable, TilesetInvalid
-from gsgen.tiles.format.tileset import Tile, Tileset
+from gsgen.tiles.format.tileset import Tile, Tileset, is_count
 from gsgen.tiles.format.volumes import Box, Region, Sphere, Volume
 from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES
 from gsgen.tiles.loading.limits import LoadingTime
@@ -116,7 +116,6 @@ class TileTree:
         return parent_indices
 
 
-_MAX_SPLAT_TOTAL = 1 << 48  # sums of counts stay within 64 bits
 _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
 
 
@@ -143,13 +142,10 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
     """Return the number of bytes and of splats in a tile's contents."""
     if not tile.contents:
         return 0, 0
-    quality, sizes = tileset.metadata.get("quality", 0), tile.metadata.get("bytes")
+    quality, listed_sizes = tileset.metadata.get("quality", 0), tile.file_sizes
     size = 0
-    has_listed_sizes = (
-        isinstance(sizes, list) and all(map(_is_count, sizes)) and isinstance(quality, int)
-    )
-    if sizes and has_listed_sizes and len(tile.contents) == 1:
-        size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
+    if listed_sizes and isinstance(quality, int):
+        size = listed_sizes[min(max(quality, 0), len(listed_sizes) - 1)]
     elif store is not None:
         sizes = [store.size(content.uri) for content in tile.contents]
         size = (
@@ -162,12 +158,7 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
 
 def _has_counts(tile: Tile) -> bool:
     """Return whether a tile's metadata tell the number of its splats."""
-    return _is_count(tile.metadata.get("splats"))
-
-
-def _is_count(value: object) -> bool:
-    """Return whether metadata is a number of splats or bytes; it may be anything."""
-    return isinstance(value, int | np.integer) and 0 <= int(value) <= _MAX_SPLAT_TOTAL
+    return is_count(tile.metadata.get("splats"))
 
 
 def _root_box(tile: Tile, tileset: Tileset) -> Box:

@@ -4,6 +4,7 @@ __all__ = ["ContentReader"]
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import final
 
@@ -155,10 +156,12 @@ class ContentReader:
         )
 
     def _tile_entry(self, tile: int) -> Tile:
-        """Return a tile as listed in the tileset of the SPZ quality fetched last for it."""
-        if self._tile_qualities is None:
-            return self._tree.tiles[tile]
-        return self._tile_qualities.ladder.tiles[self._fetched_quality[tile]][tile]
+        """Return a tile with the content of the quality fetched last for it."""
+        entry = self._tree.tiles[tile]
+        if self._tile_qualities is None or not entry.contents:
+            return entry
+        uri = self._tile_qualities.ladder.files[tile][self._fetched_quality[tile]]
+        return replace(entry, contents=(replace(entry.contents[0], uri=uri),))
 
     @contextmanager
     def _full_locations(self) -> Iterator[None]:

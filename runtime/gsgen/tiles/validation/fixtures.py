@@ -18,6 +18,7 @@ from gsgen.formats.glb.container import build
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container, streams
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
+from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
 from gsgen.tiles.validation.sketches import (
     TilesetSketch,
@@ -78,6 +79,18 @@ def tiles_good_globe() -> TilesetSketch:
 def tiles_good_implicit() -> TilesetSketch:
     """Fixture: a valid tileset with an implicit octree of two levels of subtrees."""
     return implicit_sketch()
+
+
+@_register_example()
+def tiles_good_qualities() -> TilesetSketch:
+    """Fixture: a valid tileset whose tiles tell files, bytes and worth of three qualities."""
+    return explicit_sketch(qualities=(0, 2, 4))
+
+
+@_register_example()
+def tiles_good_implicit_qualities() -> TilesetSketch:
+    """Fixture: a valid implicit octree of three qualities, told by tables and templates."""
+    return implicit_sketch(qualities=(0, 2, 4))
 
 
 @_register_example()
@@ -193,7 +206,7 @@ def tiles_spz_version() -> TilesetSketch:
         return container.pack(replace(frame, version=3), content)
 
     sketch.files[uri] = edit_glb(sketch.files[uri], binary=encode)
-    return sketch
+    return _tell_sizes(sketch)
 
 
 @_register_example("GT010")
@@ -292,7 +305,7 @@ def tiles_draft_names() -> TilesetSketch:
 
     files = {uri: edit_glb(data, document=rename) for uri, data in sketch.files.items()}
     sketch.files.update(files)
-    return sketch
+    return _tell_sizes(sketch)
 
 
 @_register_example("GT020")
@@ -343,6 +356,51 @@ def tiles_with_mesh() -> TilesetSketch:
         "scene": 0,
     }
     sketch.files["triangle.glb"] = build(document, len(corners)) + corners
+    return sketch
+
+
+@_register_example("GT024")
+def tiles_bytes_untold() -> TilesetSketch:
+    """Fixture: a tileset whose first leaf tells a byte less of its file than the file has."""
+    sketch = explicit_sketch()
+    _leaf_properties(sketch)["bytes"][0] -= 1
+    return sketch
+
+
+@_register_example("GT024")
+def tiles_quality_lost() -> TilesetSketch:
+    """Fixture: a tileset of three qualities without the coarsest file of a leaf."""
+    sketch = explicit_sketch(qualities=(0, 2, 4), record=False)
+    del sketch.files[_leaf_properties(sketch)["files"][-1]]
+    return sketch
+
+
+@_register_example("GT024")
+def tiles_files_swapped() -> TilesetSketch:
+    """Fixture: a tileset of two qualities with a leaf that names its files coarsest first."""
+    sketch = explicit_sketch(qualities=(0, 4))
+    _leaf_properties(sketch)["files"].reverse()
+    return sketch
+
+
+@_register_example("GT024")
+def tiles_worth_in_percent() -> TilesetSketch:
+    """Fixture: a tileset with a leaf whose files are worth more than 1."""
+    sketch = explicit_sketch(qualities=(0, 4))
+    _leaf_properties(sketch)["worth"] = [99.9, 99.1]
+    return sketch
+
+
+def _leaf_properties(sketch: TilesetSketch) -> JsonDict:
+    properties: JsonDict = sketch.document["root"]["children"][0]["metadata"]["properties"]
+    return properties
+
+
+def _tell_sizes(sketch: TilesetSketch) -> TilesetSketch:
+    """Correct the bytes that the tiles of a sketch tell of files that were changed."""
+    root = sketch.document["root"]
+    for tile in (root, *root["children"]):
+        tile["metadata"]["properties"]["bytes"] = [len(sketch.files[tile["content"]["uri"]])]
     return sketch
 
 

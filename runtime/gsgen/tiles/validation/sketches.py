@@ -74,6 +74,7 @@ def explicit_sketch(
     record: bool = True,
     leaf_rows: int = _ROW_COUNT,
     edit_root: Callable[[Splats], Splats] | None = None,
+    qualities: tuple[int, ...] = (0,),
 ) -> TilesetSketch:
     """Return an explicit tileset of a root and two leaves.
 
@@ -83,6 +84,7 @@ def explicit_sketch(
         record: Whether there is a build record.
         leaf_rows: Splats of the first leaf; where they are many, all are alike.
         edit_root: Changes the splats of the root's content, a third of those of the leaves.
+        qualities: Of SPZ, finest first.
     """
     leaves = [sample_splats(_ROW_COUNT, center, seed=n) for n, center in enumerate(_TILE_CENTERS)]
     coarse_splats = join_splats([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
@@ -91,8 +93,10 @@ def explicit_sketch(
     if leaf_rows > _ROW_COUNT:
         leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
     files: dict[str, bytes] = {}
-    children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
-    root = _tile_record(coarse_splats, 0, (0, 0, 0), codec, files)
+    children = tuple(
+        _leaf_record(leaf, n, codec, files, qualities) for n, leaf in enumerate(leaves)
+    )
+    root = _tile_record(coarse_splats, 0, (0, 0, 0), codec, files, qualities)
     root = replace(
         root, geometric_error=_GEOMETRIC_ERROR, cell=_GEOMETRIC_ERROR / 4, children=children
     )
@@ -106,9 +110,13 @@ def explicit_sketch(
 
 
 def _leaf_record(
-    splats: Splats, number: int, codec: CodecName, files: dict[str, bytes]
+    splats: Splats,
+    number: int,
+    codec: CodecName,
+    files: dict[str, bytes],
+    qualities: tuple[int, ...],
 ) -> TileRecord:
-    leaf = _tile_record(splats, 1, (number, 0, 0), codec, files)
+    leaf = _tile_record(splats, 1, (number, 0, 0), codec, files, qualities)
     center = np.array(_TILE_CENTERS[number])
     return replace(leaf, low=center - 2.0, high=center + 2.0)
 
@@ -119,24 +127,28 @@ def _tile_record(
     coordinates: tuple[int, int, int],
     codec: CodecName,
     files: dict[str, bytes],
+    qualities: tuple[int, ...] = (0,),
     *,
     implicit: bool = False,
 ) -> TileRecord:
     middle = splats.position.astype(np.float64).mean(axis=0)
-    encoded = write_content(splats, middle, codec=codec)
-    uri = content_uri(level, coordinates, encoded.data)
-    if implicit:
-        uri = implicit_uri(level, coordinates)
-    files[uri] = encoded.data
-    content = ContentRecord(uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high)
+    contents: list[ContentRecord] = []
+    for quality in qualities:
+        encoded = write_content(splats, middle, codec=codec, quality=quality)
+        uri = content_uri(level, coordinates, encoded.data)
+        if implicit:
+            uri = implicit_uri(level, coordinates, len(contents))
+        files[uri] = encoded.data
+        box = {"low": encoded.low, "high": encoded.high}
+        contents.append(ContentRecord(uri=uri, size=len(encoded.data), worth=encoded.worth, **box))
     return TileRecord(
         level=level,
         coordinates=coordinates,
-        low=encoded.low,
-        high=encoded.high,
+        low=np.min([content.low for content in contents], axis=0),
+        high=np.max([content.high for content in contents], axis=0),
         geometric_error=0.0,
         splats=encoded.splats,
-        contents=(content,),
+        contents=tuple(contents),
     )
 
 
@@ -145,7 +157,9 @@ def _rows(splats: Splats, rows: slice | np.ndarray) -> Splats:
     return replace(splats, **{name: getattr(splats, name)[rows] for name in names})
 
 
-def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
+def implicit_sketch(
+    *, codec: CodecName = "spz", qualities: tuple[int, ...] = (0,)
+) -> TilesetSketch:
     """Return an implicit octree of three levels over a cube of 16, in subtrees of two levels."""
     cells = [(0, 0, 0), (3, 0, 1), (3, 1, 1), (2, 3, 2)]
     files: dict[str, bytes] = {}
@@ -154,7 +168,7 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
         x, y, z = (-8 + 4 * value + 2.0 for value in cell)
         leaves[cell] = sample_splats(_ROW_COUNT, (x, y, z), seed=number)
     records = {
-        (2, cell): _tile_record(splats, 2, cell, codec, files, implicit=True)
+        (2, cell): _tile_record(splats, 2, cell, codec, files, qualities, implicit=True)
         for cell, splats in leaves.items()
     }
     for level in (1, 0):
@@ -166,7 +180,9 @@ def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
                 for (depth, cell), entry in records.items()
                 if depth == level + 1 and _parent_coordinates(cell, 1) == (x, y, z)
             ]
-            entry = _tile_record(coarse_splats, level, (x, y, z), codec, files, implicit=True)
+            entry = _tile_record(
+                coarse_splats, level, (x, y, z), codec, files, qualities, implicit=True
+            )
             records[level, (x, y, z)] = replace(
                 entry, geometric_error=0.5 * (2 - level), children=tuple(below)
             )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.cli.commands.tiles.quality_text import quality_text
 from gsgen.cli.output import echo, echo_json
 from gsgen.contract.errors import ConfigInvalid
 
@@ -41,7 +42,12 @@ _Codec = Annotated[
     Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
 ]
 _ImplicitOption = Annotated[
-    bool, typer.Option("--implicit", help="Write an implicit octree, in subtrees.")
+    bool | None,
+    typer.Option(
+        "--implicit/--explicit",
+        help="Write an implicit octree, in subtrees. [default: from about 2,000 tiles on]",
+        show_default=False,
+    ),
 ]
 _Transform = Annotated[
     Path | None,
@@ -77,13 +83,13 @@ _JsonOption = Annotated[
 def build(
     scenes: _ScenesArgument,
     output: _Output,
-    leaf: _LeafSizeOption = 65_536,
+    leaf: _LeafSizeOption = 8_192,
     engine: _Engine = "processes",
     workers: _Workers = None,
-    quality: _QualityCount = 1,
+    quality: _QualityCount = 3,
     codec: _Codec = "spz",
     *,
-    implicit: _ImplicitOption = False,
+    implicit: _ImplicitOption = None,
     transform: _Transform = None,
     origin: _Origin = "auto",
     lon: _Longitude = None,
@@ -108,12 +114,6 @@ def build(
     from gsgen.tiles.build.parameters import BuildParameters
     from gsgen.tiles.build.progress import JsonProgress
 
-    if implicit and quality > 1:
-        raise ConfigInvalid(
-            f"{quality} qualities with --implicit; expected 1",
-            where="--quality",
-            hint="An implicit tileset has one content file per tile.",
-        )
     if implicit and neural:
         raise ConfigInvalid(
             "cannot be combined with --implicit",
@@ -186,8 +186,7 @@ def _report_text(report: "BuildReport") -> str:
     size = f"{report.bytes / 1e6:,.1f} MB"
     if report.up_to_date:
         return f"{report.output}: up to date, {report.splats:,} splats, {size}"
-    per_splat = report.bytes / report.splats
     return (
-        f"{report.output}: {report.splats:,} splats in {report.tiles:,} tiles, {size} "
-        f"({per_splat:.1f} bytes a splat)"
+        f"{report.output}: {report.splats:,} splats in {report.tiles:,} tiles, {size}: "
+        f"{quality_text(report.quality_bytes, report.splats)}"
     )

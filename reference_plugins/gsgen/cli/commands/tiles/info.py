@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.cli.commands.tiles.quality_text import quality_text
 from gsgen.cli.output import echo, echo_json
 from gsgen.contract.spec.units import MEBIBYTE
 
@@ -55,6 +56,8 @@ def _tileset_lines(name: str, tileset_info: "TilesetInfo") -> list[str]:
             f"{level.level:>5} {level.tiles:>8,} {level.splats:>12,} "
             f"{level.bytes / MEBIBYTE:>9.2f} {bytes_per_splat:>8.1f} {level.geometric_error:>10.4g}"
         )
+    if tileset_info.quality_bytes:
+        lines.append(quality_text(tileset_info.quality_bytes, tileset_info.leaf_splats))
     if tileset_info.neural:
         lines.append(f"{tileset_info.neural:,} tiles hold a generator")
     return lines

@@ -53,6 +53,7 @@ class ImplicitTree:
         base: Path of the file that says this.
         location: Where it says this.
         classes: Of the metadata schema.
+        file_templates: Templates of the content's uri at each quality; empty where there is one.
     """
 
     dimensions: int
@@ -66,6 +67,7 @@ class ImplicitTree:
     base: str
     location: str
     classes: dict[str, PropertyClass]
+    file_templates: tuple[str, ...] = ()
 
     @property
     def branching(self) -> int:
@@ -87,6 +89,7 @@ def read_implicit(
     refine: RefineMode,
     base: str,
     classes: dict[str, PropertyClass],
+    file_templates: tuple[str, ...] = (),
 ) -> ImplicitTree:
     """Parse ``implicitTiling``, a member of a tile's JSON, into an implicit tree."""
     entry = tile.child("implicitTiling")
@@ -119,6 +122,7 @@ def read_implicit(
         base=base,
         location=tile.location,
         classes=classes,
+        file_templates=file_templates,
     )
 
 
@@ -177,7 +181,7 @@ def _expand_subtree(
                     load, count_tiles,
                 )
             )  # fmt: skip
-        values = {key: column[rows[index]] for key, column in subtree.properties.items()}
+        values = {key: column[rows[index]].tolist() for key, column in subtree.properties.items()}
         contents = _contents(tree, subtree, coordinates[index], index, content_rows)
         tiles_by_index[index] = _tile(
             tree, root, coordinates[index], values, contents, tuple(below)
@@ -279,6 +283,9 @@ def _tile(
         children=children,
         level=root.level + level,
         metadata=values or root.metadata if not level else values,
+        files=tuple(tree.uri(uri, coordinates, tree.location) for uri in tree.file_templates)
+        if contents
+        else (),
     )
 
 

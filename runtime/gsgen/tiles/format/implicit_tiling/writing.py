@@ -19,16 +19,9 @@ from gsgen.formats.shared.files import make_folder, replace_file
 from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.subtree import tile_count
-from gsgen.tiles.format.index import (
-    ContentRecord,
-    TileRecord,
-    box_numbers,
-    json_bytes,
-    morton,
-    tileset_document,
-)
+from gsgen.tiles.format.index import TileRecord, box_numbers, json_bytes, morton, tileset_document
 from gsgen.tiles.format.json_values import JsonDict
-from gsgen.tiles.format.metadata import TILE_CLASS, implicit_metadata_schema
+from gsgen.tiles.format.metadata import FILES_PROPERTY, TILE_CLASS, implicit_metadata_schema
 
 SUBTREE_LEVELS: Final = 5
 _CHILDREN_PER_TILE = 8
@@ -40,7 +33,11 @@ _VIEW_ALIGNMENT = 8
 def implicit_uri(level: int, coordinates: tuple[int, int, int], quality: int = 0) -> str:
     """Return the uri of an implicit tileset's content, as its template requires."""
     x, y, z = coordinates
-    return f"t/{level}/{x}_{y}_{z}-q{quality}.glb"
+    return _content_template(quality).format(level=level, x=x, y=y, z=z)
+
+
+def _content_template(quality: int) -> str:
+    return f"t/{{level}}/{{x}}_{{y}}_{{z}}-q{quality}.glb"
 
 
 def write_implicit_tileset(
@@ -77,7 +74,7 @@ def write_implicit_tileset(
     """
     tiles: list[_Cell] = []
     oversized_cells: list[TileRecord] = []
-    low, high = _collect_cells(root, quality, tiles, oversized_cells)
+    low, high = _collect_cells(root, tiles, oversized_cells)
     wrapper_tile = TileRecord(
         level=0,
         coordinates=(0, 0, 0),
@@ -96,10 +93,17 @@ def write_implicit_tileset(
         origin=origin,
     )
     levels = 1 + max(cell.record.level for cell in tiles)
-    document["schema"] = implicit_metadata_schema(has_origin=origin is not None)
+    counts = {len(cell.record.contents) for cell in tiles if cell.record.contents}
+    quality_count = min(counts, default=1)
+    document["schema"] = implicit_metadata_schema(
+        has_origin=origin is not None, quality_count=quality_count
+    )
+    if quality_count > 1:
+        templates = [_content_template(q) for q in range(quality_count)]
+        document["metadata"]["properties"][FILES_PROPERTY] = templates
     tree = _implicit_root(root, low, high, quality, levels, subtree_levels)
     document["root"].setdefault("children", []).insert(0, tree)
-    subtrees = dict(_subtrees(tiles, subtree_levels, quality))
+    subtrees = dict(_subtrees(tiles, subtree_levels, quality_count))
     for uri, data in subtrees.items():
         make_folder(path.parent / uri)
         with replace_file(path.parent / uri) as file:
@@ -119,19 +123,12 @@ class _Cell:
     high: Float64[np.ndarray, " 3"]
 
 
-def _content(record: TileRecord, quality: int) -> ContentRecord | None:
-    if not record.contents:
-        return None
-    return record.contents[min(quality, len(record.contents) - 1)]
-
-
 def _collect_cells(
-    record: TileRecord, quality: int, cells: list[_Cell], oversized_cells: list[TileRecord]
+    record: TileRecord, cells: list[_Cell], oversized_cells: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Append an octree tile and its descendants to ``cells``; return the tile's bounding box."""
     low, high = np.array(record.low, np.float64), np.array(record.high, np.float64)
-    content = _content(record, quality)
-    if content is not None:
+    for quality, content in enumerate(record.contents):
         low, high = np.minimum(low, content.low), np.maximum(high, content.high)
         expected = implicit_uri(record.level, record.coordinates, quality)
         if not record.oversized and content.uri != expected:
@@ -143,7 +140,7 @@ def _collect_cells(
             for entry in child.contents:
                 below = np.minimum(below[0], entry.low), np.maximum(below[1], entry.high)
         else:
-            below = _collect_cells(child, quality, cells, oversized_cells)
+            below = _collect_cells(child, cells, oversized_cells)
         low, high = np.minimum(low, below[0]), np.maximum(high, below[1])
     cells.append(_Cell(record, low, high))
     return low, high
@@ -159,7 +156,7 @@ def _implicit_root(
 ) -> JsonDict:
     return {
         "boundingVolume": {"box": box_numbers(low, high)},
-        "content": {"uri": f"t/{{level}}/{{x}}_{{y}}_{{z}}-q{quality}.glb"},
+        "content": {"uri": _content_template(quality)},
         "geometricError": float(root.geometric_error),
         "implicitTiling": {
             "availableLevels": levels,
@@ -171,7 +168,7 @@ def _implicit_root(
     }
 
 
-def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[str, bytes]]:
+def _subtrees(cells: list[_Cell], levels: int, quality_count: int) -> Iterable[tuple[str, bytes]]:
     """Yield the URI and bytes of every subtree file of an implicit octree."""
     # 1. Group cells by the root of their subtree: its level, and its place on that level.
     groups: dict[tuple[int, tuple[int, int, int]], list[_Cell]] = {}
@@ -190,7 +187,7 @@ def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[s
         uri = _SUBTREE_URI.replace("{level}", str(top))
         for name, value in zip("xyz", (x, y, z), strict=True):
             uri = uri.replace(f"{{{name}}}", str(value))
-        yield uri, _subtree((top, (x, y, z)), members, below, levels, quality)
+        yield uri, _subtree((top, (x, y, z)), members, below, levels, quality_count)
 
 
 def _subtree(
@@ -198,7 +195,7 @@ def _subtree(
     members: list[_Cell],
     below: list[tuple[int, int, int]],
     levels: int,
-    quality: int,
+    quality_count: int,
 ) -> bytes:
     top, corner = origin
 
@@ -225,11 +222,13 @@ def _subtree(
         "childSubtreeAvailability": writer.bits(children, _CHILDREN_PER_TILE**levels),
         "tileMetadata": 0,
         "propertyTables": [
-            writer.table(TILE_CLASS, len(ordered_cells), _tile_columns(ordered_cells))
+            writer.table(
+                TILE_CLASS, len(ordered_cells), _tile_columns(ordered_cells, quality_count)
+            )
         ],
     }
     if content_cells:
-        columns = _content_columns(content_cells, quality)
+        columns = _content_columns(content_cells)
         document["contentMetadata"] = [1]
         document["propertyTables"].append(
             writer.table(f"{TILE_CLASS}_content", len(content_cells), columns)
@@ -237,19 +236,28 @@ def _subtree(
     return writer.file(document)
 
 
-def _tile_columns(cells: list[_Cell]) -> dict[str, np.ndarray]:
+def _tile_columns(cells: list[_Cell], quality_count: int) -> dict[str, np.ndarray]:
     records = [cell.record for cell in cells]
+    pairs = np.zeros((len(cells), quality_count, 2))
+    for row, record in enumerate(records):
+        for column, entry in enumerate(record.contents[:quality_count]):
+            pairs[row, column] = entry.size, entry.worth
     return {
         "box": np.array([box_numbers(cell.low, cell.high) for cell in cells], "<f8"),
+        "bytes": pairs[:, :, 0].astype("<u4"),
         "cell": np.array([record.cell for record in records], "<f4"),
         "geometric_error": np.array([r.geometric_error for r in records], "<f8"),
         "splats": np.array([record.splats for record in records], "<u4"),
+        "worth": pairs[:, :, 1].astype("<f4"),
     }
 
 
-def _content_columns(cells: list[_Cell], quality: int) -> dict[str, np.ndarray]:
-    contents = [_content(cell.record, quality) for cell in cells]
-    boxes = [box_numbers(entry.low, entry.high) for entry in contents if entry]
+def _content_columns(cells: list[_Cell]) -> dict[str, np.ndarray]:
+    boxes = []
+    for cell in cells:  # one box for all qualities, so that their indices share the subtrees
+        contents = cell.record.contents
+        low = np.min([entry.low for entry in contents], axis=0)
+        boxes.append(box_numbers(low, np.max([entry.high for entry in contents], axis=0)))
     return {"content_box": np.array(boxes, "<f8")}
 
 

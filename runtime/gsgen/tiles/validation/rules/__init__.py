@@ -19,6 +19,7 @@ from gsgen.tiles.validation.rules.files import (
     hashes_match,
     leaves_match_source,
     no_empty_tiles,
+    qualities_told,
 )
 from gsgen.tiles.validation.rules.neural import neural_content
 from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
@@ -57,6 +58,7 @@ TILESET_RULES = (
     tile_visible,
     levels_agree,
     contents_hold_splats,
+    qualities_told,
 )
 """All rules, in order of their ids; the entry point names this."""
 

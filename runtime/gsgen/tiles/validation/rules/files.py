@@ -7,6 +7,9 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.finding import Violation
 from gsgen.formats.glb.splats import EXTENSION_NAME
+from gsgen.tiles.errors import ContentMissing
+from gsgen.tiles.format.json_values import is_number
+from gsgen.tiles.format.tileset import Tile
 from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
@@ -75,6 +78,55 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
                 f"{header.size} bytes, SHA-256 {digest[:12]}…",
                 f"{entry.size} bytes, {entry.sha256[:12]}…, as {record.location} lists",
             )
+
+
+@tileset_rule("GT024", Severity.ERROR, needs=(SCHEMA_RULE, "GT005", "GT010"))
+def qualities_told(inspected: InspectedTileset) -> Iterator[Violation]:
+    """A tile's files, bytes and worth are those of its content at each quality.
+
+    Why:
+        A viewer asks for the file that shows most for its bytes. It plans by these numbers, and
+        fetches by these addresses, before it has seen any file.
+
+    Hint:
+        Build the tileset again, and copy all of it.
+    """
+    tileset = inspected.tileset
+    if tileset is None or not inspected.is_built_by_gsgen:
+        return
+    sizes = {content.content.uri: header.size for content, header in headers(inspected)}
+    for tile in tileset.tiles():
+        for actual, expected in _quality_faults(inspected, tile, sizes):
+            yield Violation.at(f"tile {tile.location}, metadata", actual, expected)
+
+
+def _quality_faults(
+    inspected: InspectedTileset, tile: Tile, sizes: dict[str, int]
+) -> Iterator[tuple[str, str]]:
+    """Yield what a tile tells of its files, and what it should tell."""
+    told, files = tile.file_sizes, tile.files
+    if not told:
+        return
+    quality = inspected.tileset.metadata.get("quality", 0) if inspected.tileset else 0
+    uri = tile.contents[0].uri
+    own = min(quality, len(told) - 1) if isinstance(quality, int) and quality >= 0 else 0
+    if files and (len(files) != len(told) or files[own] != uri):
+        yield f"files {', '.join(files)}", f"{len(told)} files, {uri} at {own}"
+        return
+    for name, size in zip(files or (uri,), told if files else told[own : own + 1], strict=True):
+        try:
+            actual = sizes[name] if name in sizes else inspected.store.size(name)
+        except ContentMissing:
+            yield name, "a file that is there"
+            continue
+        if actual != size:
+            yield f"{size} bytes of {name}", f"{actual}, as the file has"
+    worth = tile.metadata.get("worth")
+    entries = worth if isinstance(worth, list) else [1.0 if worth is None else worth]
+    if not all(is_number(entry) and 0 <= entry <= 1 for entry in entries) or (
+        worth is not None and len(entries) != len(told)
+    ):
+        yield f"worth {worth!r:.60}", f"{len(told)} numbers from 0 to 1"
 
 
 @tileset_rule("GT016", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
