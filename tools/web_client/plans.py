@@ -24,6 +24,18 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import PRESENT_CONSTANTS, PRESENT_UNIFORM
+from gsgen.tiles.prediction.predictor import TURN_SECONDS, VELOCITY_WINDOW
+from gsgen.tiles.prediction.prefetch import (
+    HORIZON_FRACTIONS,
+    PLAN_INTERVAL_SECONDS,
+    PREDICTION_HORIZON,
+)
+from gsgen.tiles.streaming.fetch import RETRY_AFTER
+from gsgen.tiles.streaming.planner import (
+    CANCEL_PRIORITY_FRACTION,
+    MAX_UNSEEN_FRACTION,
+    MAX_WASTE_FRACTION,
+)
 from web_client.browser_kernels import (
     IMAGE_TILE,
     PICTURE,
@@ -109,7 +121,20 @@ def plans_document() -> dict[str, Any]:
             "room": PAIR_CAPACITY_FACTOR,
             "most": MAX_WORKGROUPS * RANGE_BLOCK,
         },
-        "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
+        "streaming": {
+            "slotRows": SLOT_ROWS,
+            "maxError": StreamSettings().max_error,
+            "requests": StreamSettings().connections,
+            "cancelFraction": CANCEL_PRIORITY_FRACTION,
+            "wasteFraction": MAX_WASTE_FRACTION,
+            "unseenFraction": MAX_UNSEEN_FRACTION,
+            "horizonSeconds": PREDICTION_HORIZON,
+            "horizonFractions": list(HORIZON_FRACTIONS),
+            "planSeconds": PLAN_INTERVAL_SECONDS,
+            "velocitySeconds": VELOCITY_WINDOW,
+            "turnSeconds": TURN_SECONDS,
+            "retrySeconds": RETRY_AFTER,
+        },
         "present": {
             "module": module,
             "vertex": "corner_of",

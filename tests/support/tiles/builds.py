@@ -8,9 +8,7 @@ from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import SilentProgress
 
-SMALL = BuildParameters(
-    leaf=700, qualities=(0,), implicit=False, transform=upright_transform()
-)
+SMALL = BuildParameters(leaf=700, qualities=(0,), implicit=False, transform=upright_transform())
 PARTITION = 4000
 CHUNK = 1 << 20  # bytes: a scene of 40,000 splats of degree 0 is three chunks
 

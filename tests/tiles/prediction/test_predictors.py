@@ -74,7 +74,8 @@ def test_poses_between_two_lie_on_the_steady_path() -> None:
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_constant_velocity_continues_a_steady_path_exactly(flip: bool) -> None:
+def test_constant_velocity_continues_a_steady_path_whose_turns_fade(flip: bool) -> None:
+    """It has turned as a steady path has after τ (1 − exp(−s / τ)) seconds."""
     times = np.arange(0, 1.2, 0.1)
     path = steady_path(np.random.default_rng(2), times)
     predictor = ConstantVelocity()
@@ -84,10 +85,12 @@ def test_constant_velocity_continues_a_steady_path_exactly(flip: bool) -> None:
     ahead = [0.25, 1.0, 2.0]
     prediction = predictor.predict(ahead)
     expected = steady_path(np.random.default_rng(2), times[-1] + np.array(ahead))
-    for predicted, pose in zip(prediction, expected, strict=True):
+    faded = [0.4 * (1 - np.exp(-seconds / 0.4)) for seconds in ahead]
+    turned = steady_path(np.random.default_rng(2), times[-1] + np.array(faded))
+    for predicted, pose, turn in zip(prediction, expected, turned, strict=True):
         assert predicted.time == pytest.approx(pose.time)
         np.testing.assert_allclose(predicted.position, pose.position, atol=1e-9)
-        assert_same_rotation(predicted.quaternion, pose.quaternion)
+        assert_same_rotation(predicted.quaternion, turn.quaternion)
 
 
 def test_constant_velocity_predicts_nothing_from_one_pose() -> None:

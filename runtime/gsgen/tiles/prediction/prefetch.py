@@ -18,13 +18,10 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 PREDICTION_HORIZON: Final = 2.0
 """Seconds ahead for which tiles are fetched."""
-_HORIZON_FRACTIONS: Final = (
-    0.125,
-    0.25,
-    0.5,
-    1.0,
-)  # of the horizon: the moments that are looked at
-_PLAN_INTERVAL_SECONDS: Final = 0.1  # seconds between plans
+HORIZON_FRACTIONS: Final = (0.125, 0.25, 0.5, 1.0)
+"""Of the horizon: the moments whose cameras are predicted."""
+PLAN_INTERVAL_SECONDS: Final = 0.1
+"""Seconds between two predictions of the tiles that will be seen."""
 
 
 @final
@@ -98,7 +95,7 @@ class HorizonPrefetch:
         """Return the tiles that predicted poses see, the earliest first, in order of request."""
         if (
             self._last_plan_time is None
-            or self._time - self._last_plan_time >= _PLAN_INTERVAL_SECONDS
+            or self._time - self._last_plan_time >= PLAN_INTERVAL_SECONDS
         ):
             self._last_plan_time = self._time
             self._tile_order = self._plan()
@@ -107,7 +104,7 @@ class HorizonPrefetch:
     def _plan(self) -> list[int]:
         reach = min(PREDICTION_HORIZON, self._predictor.reach)
         order: dict[int, None] = {}  # each tile once, where the first predicted pose sees it
-        for pose in self._predictor.predict([reach * share for share in _HORIZON_FRACTIONS]):
+        for pose in self._predictor.predict([reach * share for share in HORIZON_FRACTIONS]):
             frustum = self._frustum_at(pose.position, pose.quaternion)
             cut = cut_tree(self._tree, frustum, self._max_error)
             order.update(dict.fromkeys(request_order(self._tree, cut).tolist()))

@@ -60,7 +60,7 @@ class MetricsRecorder:
         count = len(parent)
         self._tile_parents, self._size = parent, size
         self._selected_tiles = np.zeros(count, bool)
-        self._is_tile_unseen = np.zeros(count, bool)
+        self._unseen_sizes = np.zeros(count, np.int64)  # of files that came and were not seen
         self._wanted_times_by_tile: dict[int, list[float]] = {}
         self._tile_delays: list[float] = []
         self._hit_count = self._frame_count = self._good_frame_count = self._hole_frame_count = 0
@@ -73,7 +73,7 @@ class MetricsRecorder:
     @property
     def unseen_bytes(self) -> int:
         """The bytes of tiles that arrived but were not seen, and of cancelled requests."""
-        return int(self._size[self._is_tile_unseen].sum()) + self._wasted_bytes
+        return int(self._unseen_sizes.sum()) + self._wasted_bytes
 
     def request(self) -> None:
         """Count one request of a streamed tile."""
@@ -82,9 +82,8 @@ class MetricsRecorder:
     def arrive(self, tile: int, time: float) -> None:
         """Record that a streamed tile was received completely at ``time``."""
         self.bytes += int(self._size[tile])
-        if self._is_tile_unseen[tile]:
-            self._wasted_bytes += int(self._size[tile])  # dropped unseen, and asked for again
-        self._is_tile_unseen[tile] = True
+        self._wasted_bytes += int(self._unseen_sizes[tile])  # dropped unseen, and asked for again
+        self._unseen_sizes[tile] = self._size[tile]
         self._tile_delays += [time - entry for entry in self._wanted_times_by_tile.pop(tile, [])]
 
     def cancel(self, received: int) -> None:
@@ -96,7 +95,7 @@ class MetricsRecorder:
         """Record the tiles that a frame needs, and the tiles that are loaded."""
         self._time = time
         self._start_seconds = time if self._start_seconds is None else self._start_seconds
-        self._is_tile_unseen &= ~(cut.seen & loaded)
+        self._unseen_sizes[cut.seen & loaded] = 0
         entries = cut.selected & ~self._selected_tiles
         self._selected_tiles = cut.selected.copy()
         hit_count = int((entries & loaded).sum())

@@ -17,14 +17,14 @@ from gsgen.tiles.streaming.metrics import MetricsRecorder
 
 CANCEL_PRIORITY_FRACTION: Final = 0.5
 """A request is cancelled only below this share of its bytes."""
+MAX_WASTE_FRACTION: Final = 0.15
+"""Of the received bytes, as far as they are expected to stay unseen."""
+MAX_UNSEEN_FRACTION: Final = 0.25
+"""Of the received bytes, those that may still be seen included."""
 
 _RequestPurpose = Literal["needed", "prefetched", "finer"]
 """Why a tile was requested."""
 
-_MAX_WASTE_FRACTION: Final = (
-    0.15  # of the received bytes, as far as they are expected to stay unseen
-)
-_MAX_UNSEEN_FRACTION: Final = 0.25  # of the bytes: those that may still be seen included
 _PREFETCH_TIMEOUT: Final = (
     2 * PREDICTION_HORIZON
 )  # seconds after which a prefetched tile counts as wasted
@@ -178,8 +178,8 @@ class RequestPlanner:
         pending = self._ledger.pending_bytes + requested_bytes
         expected = unseen_total - pending * self._ledger.precision
         return (
-            expected <= _MAX_WASTE_FRACTION * received
-            and unseen_total <= _MAX_UNSEEN_FRACTION * received
+            expected <= MAX_WASTE_FRACTION * received
+            and unseen_total <= MAX_UNSEEN_FRACTION * received
         )
 
 
@@ -191,7 +191,11 @@ class _PrefetchLedger:
         self._size = size
         self._arrivals: dict[int, float] = {}
         self._seen_count = self._late_tile_count = 0
-        self.pending_bytes = 0
+
+    @property
+    def pending_bytes(self) -> int:
+        """The bytes of prefetched tiles that were not seen yet, and may still be."""
+        return int(self._size[list(self._arrivals)].sum())
 
     @property
     def precision(self) -> float:
@@ -203,7 +207,6 @@ class _PrefetchLedger:
     def arrive(self, tile: int, time: float) -> None:
         """Record that a prefetched tile has arrived."""
         self._arrivals[tile] = time
-        self.pending_bytes += int(self._size[tile])
 
     def frame(self, time: float, seen: Bool[np.ndarray, " n"]) -> None:
         """Count prefetched tiles as used if seen now, or as wasted if unseen for too long."""
@@ -212,5 +215,4 @@ class _PrefetchLedger:
             if seen[tile] or is_late:
                 self._seen_count += bool(seen[tile])
                 self._late_tile_count += is_late and not seen[tile]
-                self.pending_bytes -= int(self._size[tile])
                 del self._arrivals[tile]

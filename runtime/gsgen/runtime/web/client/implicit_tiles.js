@@ -4,8 +4,7 @@ import { failing } from "./errors.js";
 
 const HEADER = 24; // bytes of a binary subtree before its JSON
 const MAGIC = 0x74627573; // "subt"
-const NUMBERS = { FLOAT32: Float32Array, FLOAT64: Float64Array };
-const BOX_NUMBERS = 12;
+const NUMBERS = { FLOAT32: Float32Array, FLOAT64: Float64Array, UINT32: Uint32Array };
 
 /** Return where a subtree lies in its tree, and its address. */
 function subtreeAt(tile, level, cell) {
@@ -36,7 +35,7 @@ function cellBox(box, level, cell) {
 }
 
 /** Return the JSON of a subtree's root: explicit tiles, and one for each subtree below them. */
-export function subtreeRoot(data, { tile, level: top, cell: corner }, schema, name) {
+export function subtreeRoot(data, { tile, level: top, cell: corner }, schema, name, files = []) {
   const view = new DataView(data);
   const fail = failing(name, "Pages read binary subtrees: gsgen tiles build --implicit");
   if (data.byteLength < HEADER || view.getUint32(0, true) !== MAGIC) fail("is not a binary subtree");
@@ -61,15 +60,19 @@ export function subtreeRoot(data, { tile, level: top, cell: corner }, schema, na
   const table = json.propertyTables?.[json.tileMetadata];
   /** @type {Record<string, any>} */
   const columns = {};
+  /** Return the values of a tile in a column of as many numbers for each. */
+  const rowOf = (key, index) => {
+    const width = (columns[key]?.length ?? 0) / table?.count;
+    return width ? [...columns[key].subarray(rows.get(index) * width, (rows.get(index) + 1) * width)] : [];
+  };
   for (const [key, { semantic = key, componentType }] of Object.entries(schema?.classes?.[table?.class]?.properties ?? {})) {
     const { values } = table.properties?.[key] ?? {};
     if (values !== undefined && NUMBERS[componentType]) columns[semantic] = new NUMBERS[componentType](bytesOf(values));
   }
   const templates = (tile.contents ?? [tile.content ?? []]).flatMap(({ uri = [] }) => uri);
   const tileAt = (index, level, cell) => {
-    const first = BOX_NUMBERS * rows.get(index);
-    const boxes = columns.TILE_BOUNDING_BOX?.slice(first, first + BOX_NUMBERS);
-    const box = boxes ? [...boxes] : cellBox(tile.boundingVolume.box, level, cell);
+    const declared = rowOf("TILE_BOUNDING_BOX", index);
+    const box = declared.length ? declared : cellBox(tile.boundingVolume.box, level, cell);
     const geometricError = columns.TILE_GEOMETRIC_ERROR?.[rows.get(index)] ?? tile.geometricError / 2 ** level;
     const own = { boundingVolume: { box }, geometricError, refine: tile.refine };
     const children = Array.from({ length: branching }, (_, k) => {
@@ -79,7 +82,9 @@ export function subtreeRoot(data, { tile, level: top, cell: corner }, schema, na
       return isSubtree(child - count) ? { ...own, subtree: subtreeAt(tile, level + 1, below) } : [];
     }).flat();
     const uris = templates.filter((_, i) => contents[i]?.(index));
-    return { ...own, children, contents: uris.map((uri) => ({ uri: filled(uri, level, cell) })) };
+    const [[splats], bytes, worth] = ["splats", "bytes", "worth"].map((key) => rowOf(key, index));
+    const properties = { splats, bytes, worth, files: files.map((uri) => filled(uri, level, cell)) };
+    return { ...own, metadata: { properties }, children, contents: uris.map((uri) => ({ uri: filled(uri, level, cell) })) };
   };
   return tileAt(0, top, corner);
 }

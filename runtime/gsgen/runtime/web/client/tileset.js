@@ -14,16 +14,19 @@ import {
 } from "./matrices.js";
 import { OrbitCamera } from "./orbit_camera.js";
 import { SplatBuffers, degreeOf, paddedRows } from "./splat_buffers.js";
+import { CameraPredictor, RequestPlanner, finerOrder, requestOrder } from "./tile_planner.js";
 
 const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
-const MOST_REQUESTS = 6; // at once
 const MOST_ATTEMPTS = 4; // of a request that fails by a fault of the network or the server
 const FIRST_PAUSE = 500; // milliseconds until the second attempt; doubled after each
 const MOST_SPLATS = 1 << 18; // in GPU memory
+const ERROR_STEP = 1.5; // of the error while a cut does not fit into the slots
 const MOST_DEGREE = 3;
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
 // Readers turn glTF content as files (x, y, z) → (−x, −y, z); of a tile, its (x, −z, y) is meant.
 const TILE_FROM_FILE = [-1, 0, 0, 0, 0, 0, -1, 0, 0, -1, 0, 0, 0, 0, 0, 1];
+
+let count = 0; // of the tiles of this page
 
 /** A tile, in the frame of the tileset. */
 class Tile {
@@ -42,6 +45,8 @@ class Tile {
     this.level = parent ? parent.level + 1 : 0;
     this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
     this.schema = json.schema ?? parent?.schema;
+    /** @type {{quality?: number, files?: string[]}} What the tileset says of all its tiles. */
+    this.facts = json.facts ?? parent?.facts;
     /** @type {any} Which file describes the tiles at and below this one; null of explicit tiles. */
     this.subtree = json.subtree ?? firstSubtree(json);
     const contents = this.subtree ? [this.subtree] : (json.contents ?? [json.content ?? []]);
@@ -50,10 +55,22 @@ class Tile {
     this.base = base;
     /** @type {any[] | null} What holds its splats, once they are loaded. */
     this.slots = null;
+    this.index = count++;
+    this.seen = 0; // the last frame whose camera met it, or in which it came
+    this.quality = -1; // of the file in its slots: 0 is the finest
+    this.failures = 0;
+    this.retryAt = 0; // seconds, until which it is not asked for
+    /** @type {{stop: AbortController, loaded: number} | null} */
+    this.flight = null;
+    const { splats, bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
+    const isTold = files.length > 1 && [bytes, worth].every(({ length }) => length === files.length);
+    const told = (numbers) => (isTold ? numbers.slice(this.facts?.quality ?? 0) : []);
+    /** Files, their bytes and worth at each quality, finest first; empty where there is one. */
+    [this.files, this.sizes, this.worth] = [files, bytes, worth].map(told);
+    this.bytes = this.sizes.at(-1) ?? [bytes].flat()[0] ?? 0; // of the file that comes first
+    /** @type {number | undefined} */
+    this.splats = splats;
     this.needed = 1; // slots, as far as known
-    this.isRequested = false; // … or failed
-    this.hasFailed = false;
-    this.seen = 0; // the last frame whose camera met it
   }
 
   /** Return whether no side of the view has the whole box behind it. */
@@ -79,8 +96,8 @@ class Tile {
 }
 
 /** Return the root tile of a tileset. */
-function rootOf({ root, schema }, parent, address) {
-  return new Tile({ ...root, schema }, parent, address);
+function rootOf({ root, schema, metadata }, parent, address) {
+  return new Tile({ ...root, schema, facts: metadata?.properties }, parent, address);
 }
 
 /** Return the result of a task, which is tried again after faults that may pass. */
@@ -104,7 +121,7 @@ export class TilesetModel {
     const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
     await model.update({}, camera);
     while (model.loading && !model._held.size && !options.signal?.aborted) {
-      await Promise.race(model._requests);
+      await Promise.race(model._requests.values());
       await model.update({}, camera);
     }
     if (options.signal?.aborted) model.destroy();
@@ -128,6 +145,12 @@ export class TilesetModel {
     });
     this._free = [...this.sets];
     this._slotRows = slotRows;
+    this._rules = plans.streaming;
+    this._predictor = new CameraPredictor(plans.streaming);
+    this._planner = new RequestPlanner(plans.streaming, this);
+    this._planned = -Infinity; // when tiles to come were last predicted
+    /** @type {Tile[]} */
+    this._ahead = [];
     this._options = { ...options, maxError: options.maxError ?? maxError };
     this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
     /** From the axes of the splats that it was built from, which scene files place, to its own. */
@@ -145,8 +168,8 @@ export class TilesetModel {
     this.buffers = { count: 0, isLinear: false };
     /** @type {Tile[]} */
     this.drawn = [];
-    /** @type {Set<Promise<void>>} */
-    this._requests = new Set();
+    /** @type {Map<Tile, Promise<void>>} */
+    this._requests = new Map();
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
@@ -155,34 +178,71 @@ export class TilesetModel {
   /** Choose the tiles of a camera, and request what lacks. */
   async update(_, camera) {
     this._frame += 1;
-    const wanted = [];
-    this.drawn = this._cut(this._root, camera, wanted) ?? [];
-    wanted.sort(([a, errorA], [b, errorB]) => a.level - b.level || errorB - errorA);
-    const room = this._room();
-    // The first picture is of coarse tiles: finer ones would take their share of the network.
-    const first = wanted.find(([tile]) => !tile.hasFailed);
-    const deepest = this._held.size ? Infinity : first?.[0].level;
-    for (const [tile] of wanted) {
-      const isIdle = !tile.slots && !tile.isRequested && this.loading < MOST_REQUESTS;
-      if (isIdle && room >= tile.needed && tile.level <= deepest) this._request(tile);
-    }
+    const time = performance.now() / 1000;
+    const cut = this._cutWithinSlots(camera);
+    for (const tile of cut.seen.keys()) tile.seen = this._frame;
+    this.drawn = this._drawn(this._root, cut) ?? [];
     for (const { buffers } of this.sets) buffers.count = 0;
     for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
+    this._predictor.observe(time, camera);
+    const isLoaded = (tile) => Boolean(tile.slots) || !tile.uris.length || tile.retryAt > time;
+    this._planner.frame(time, cut.seen, isLoaded);
+    const finer = finerOrder(this.drawn.filter((tile) => tile.retryAt <= time), eyeOf(camera));
+    const candidates = () => {
+      if (time - this._planned >= this._rules.planSeconds) [this._planned, this._ahead] = [time, this._predicted(camera)];
+      return this._ahead;
+    };
+    // What would not fit beside the tiles in flight is asked for later.
+    this._planner.fill((tile) => isLoaded(tile) || tile.needed > this._room(), finer, candidates);
     return false;
   }
 
+  /** Return the tiles that a camera sees with their errors, and those whose error is too large to draw. */
+  _cut(camera, maxError, mostLevels = Infinity) {
+    const [seen, refined] = [new Map(), new Set()];
+    const visit = (tile) => {
+      if (!tile.meets(camera)) return;
+      const pixels = tile.pixels(camera);
+      seen.set(tile, pixels);
+      if (pixels <= maxError || tile.level >= mostLevels || !tile.children.length) return;
+      refined.add(tile);
+      tile.children.forEach(visit);
+    };
+    visit(this._root);
+    return { seen, refined };
+  }
+
+  /** Return a cut whose tiles fit into the slots: a coarser one, or one of fewer levels. */
+  _cutWithinSlots(camera) {
+    const slots = ({ seen }) => [...seen.keys()].reduce((sum, { uris, needed }) => sum + (uris.length && needed), 0);
+    let error = this._options.maxError;
+    let cut = this._cut(camera, error);
+    const most = Math.max(...[...cut.seen.values()].filter(Number.isFinite));
+    while (slots(cut) > this.sets.length && error < most) cut = this._cut(camera, (error *= ERROR_STEP));
+    let level = Math.max(...[...cut.seen.keys()].map((tile) => tile.level));
+    while (slots(cut) > this.sets.length && level > 0) cut = this._cut(camera, error, --level);
+    return cut;
+  }
+
   /** Return the tiles to draw at and below a tile; null while one of them is not loaded. */
-  _cut(tile, camera, wanted) {
-    if (!tile.meets(camera)) return [];
-    const pixels = tile.pixels(camera);
+  _drawn(tile, cut) {
+    if (!cut.seen.has(tile)) return [];
     const own = tile.slots ? [tile] : tile.uris.length ? null : [];
-    tile.seen = this._frame;
-    if (tile.uris.length) wanted.push([tile, pixels]);
-    if (pixels <= this._options.maxError || !tile.children.length) return own;
-    const below = tile.children.map((child) => this._cut(child, camera, wanted));
+    if (!cut.refined.has(tile)) return own;
+    const below = tile.children.map((child) => this._drawn(child, cut));
     const loaded = below.flatMap((tiles) => tiles ?? []);
     if (tile.adds) return own && [...own, ...loaded];
     return below.every(Boolean) || !tile.uris.length ? loaded : own;
+  }
+
+  /** Return the tiles that predicted cameras see, the earliest first. */
+  _predicted(camera) {
+    const { horizonSeconds, horizonFractions } = this._rules;
+    const views = horizonFractions.map((share) => this._predictor.predict(share * horizonSeconds));
+    const tiles = views.filter(Boolean).flatMap((view) => {
+      return requestOrder(this._cut({ ...camera, view }, this._options.maxError).seen);
+    });
+    return [...new Set(tiles)];
   }
 
   /** How many tiles are being loaded. */
@@ -190,77 +250,101 @@ export class TilesetModel {
     return this._requests.size;
   }
 
-  _request(tile) {
-    tile.isRequested = true;
-    const request = this._load(tile).finally(() => {
-      this._requests.delete(request);
-      if (!this._stop.signal.aborted) this._options.onChange();
-    });
-    this._requests.add(request);
+  get free() {
+    return this._rules.requests - this._requests.size;
   }
 
-  async _load(tile) {
-    const { signal } = this._stop;
+  progress(tile) {
+    return tile.flight.loaded / Math.max(tile.quality < 0 ? tile.bytes : tile.sizes[0], 1);
+  }
+
+  cancel(tile) {
+    tile.flight.stop.abort();
+    this._requests.delete(tile);
+    return tile.flight.loaded;
+  }
+
+  request(tile) {
+    const flight = (tile.flight = { stop: new AbortController(), loaded: 0 });
+    const request = this._load(tile, flight).finally(() => {
+      if (this._requests.get(tile) === request) this._requests.delete(tile);
+      if (!this._stop.signal.aborted) this._options.onChange();
+    });
+    this._requests.set(tile, request);
+  }
+
+  async _load(tile, flight) {
+    const signal = AbortSignal.any([this._stop.signal, flight.stop.signal]);
+    const quality = tile.quality < 0 ? Math.max(tile.files.length - 1, 0) : 0;
     try {
       const read = async (uri) => {
         const address = String(new URL(uri, tile.base));
         const { subtree, schema, base } = tile;
+        const onProgress = (loaded) => (flight.loaded = loaded);
         if (subtree) {
-          const data = await download(address, undefined, signal);
-          return new Tile(subtreeRoot(data, subtree, schema, address), tile, base);
+          const data = await download(address, onProgress, signal);
+          return new Tile(subtreeRoot(data, subtree, schema, address, tile.facts?.files), tile, base);
         }
-        const { kind, bytes, parts } = await readParts({ name: address, address }, undefined, signal);
+        const { kind, bytes, parts } = await readParts({ name: address, address }, onProgress, signal);
         if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
         return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
       };
-      const contents = tile.uris.map((uri) => persistently(() => read(uri), signal));
-      const loaded = (await Promise.all(contents)).flat();
+      const uris = tile.files.length ? [tile.files[quality]] : tile.uris;
+      const loaded = (await Promise.all(uris.map((uri) => persistently(() => read(uri), signal)))).flat();
       if (signal.aborted) return;
       const roots = loaded.filter((part) => part instanceof Tile);
       tile.children.push(...roots);
       if (roots.length) [tile.uris, tile.error] = [[], Infinity]; // other tiles take its place
-      this._place(tile, loaded.filter((part) => !(part instanceof Tile)));
-      tile.isRequested = false;
+      this._place(tile, loaded.filter((part) => !(part instanceof Tile)), quality);
+      this._planner.arrive(tile, performance.now() / 1000, tile.sizes[quality] ?? flight.loaded);
     } catch (error) {
-      tile.hasFailed = true;
-      if (!signal.aborted) this._options.onError(error);
+      if (signal.aborted) return;
+      this._planner.fail(tile);
+      const pause = error.isTransient ? this._rules.retrySeconds * 2 ** tile.failures : Infinity;
+      tile.retryAt = performance.now() / 1000 + pause;
+      if (pause < Infinity) setTimeout(() => signal.aborted || this._options.onChange(), 1000 * pause);
+      if (tile.failures++ === 0) this._options.onError(error);
     }
   }
 
   /** Copy splats into slots; if tiles that the camera needs hold them all, later. */
-  _place(tile, splats) {
+  _place(tile, splats, quality) {
     const rows = this._slotRows;
     const parts = splats.flatMap((set) => {
       return Array.from({ length: Math.ceil(set.count / rows) }, (_, i) => [set, i * rows]);
     });
     tile.needed = parts.length;
-    if (this._room() < parts.length) return;
-    while (this._free.length < parts.length) this._evict();
-    tile.slots = parts.map(([set, first]) => {
+    if (tile.slots?.length !== parts.length) this._release(tile);
+    if (!tile.slots && this._room(tile) < parts.length) return;
+    while (!tile.slots && this._free.length < parts.length) {
+      this._release([...this._held].reduce((first, other) => (other.seen < first.seen ? other : first)));
+    }
+    const slots = tile.slots ?? this._free.splice(-parts.length, parts.length);
+    tile.slots = parts.map(([set, first], i) => {
       const { channels, antialias } = set;
-      const slot = this._free.pop();
       const live = Math.min(rows, set.count - first);
       const part = (numbers, width) => numbers.subarray(first * width, (first + live) * width);
-      slot.buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, channels), channels, slot.buffers.stride));
+      slots[i].buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, channels), channels, slots[i].buffers.stride));
       const transform = composed(tile.frame, composed(TILE_FROM_FILE, set.transform));
-      return Object.assign(slot, { transform, live, antialias, degree: degreeOf(channels, "sh") });
+      return Object.assign(slots[i], { transform, live, antialias, degree: degreeOf(channels, "sh") });
     });
+    [tile.quality, tile.seen] = [quality, this._frame];
     this._held.add(tile);
   }
 
-  /** Return how many slots a tile may take. */
-  _room() {
+  /** Return how many slots a tile may take beside those that the camera needs or that are on their way. */
+  _room(tile = undefined) {
     const unseen = [...this._held].filter(({ seen }) => seen < this._frame);
     const evictable = unseen.reduce((sum, { slots }) => sum + slots.length, 0);
-    return this._free.length + evictable;
+    const coming = [...this._requests.keys()].filter((other) => other !== tile && !other.slots);
+    return this._free.length + evictable - coming.reduce((sum, { needed }) => sum + needed, 0);
   }
 
-  /** Free the slots of the tile that was not seen for longest. */
-  _evict() {
-    const tile = [...this._held].reduce((first, other) => (other.seen < first.seen ? other : first));
-    this._free.push(...tile.slots);
+  /** Free the slots of a tile. */
+  _release(tile) {
+    this._free.push(...(tile.slots ?? []));
     this._held.delete(tile);
-    tile.slots = null;
+    [tile.slots, tile.quality] = [null, -1];
   }
 
   destroy() {

@@ -1,0 +1,169 @@
+/**
+ * The order in which tiles are requested: that of `gsgen.tiles.streaming.planner`, decision by decision.
+ *
+ * 1. The root alone, as long as it is missing.
+ * 2. The tiles that the camera sees: by level, then by error; each at its coarsest file.
+ * 3. While none of them is missing: tiles that it will see, as long as the expected waste is low.
+ * 4. Then finer files of drawn tiles, by worth × area gained per byte.
+ */
+
+import { eyeOf, viewOf } from "./camera.js";
+import { linearPart, plus, product, rotation, transposed } from "./matrices.js";
+
+/**
+ * @typedef {object} Entry A tile, as the planner sees it.
+ * @property {number} level
+ * @property {number} index In the order in which tiles became known.
+ * @property {number} bytes Of its coarsest file.
+ */
+
+const PRIOR_TILES = 4; // prefetched tiles, half of them seen, that precision begins with
+const INITIAL = 1e-9; // a rotation below this angle has no axis
+
+/** Return tiles in the order of request. @param {Map<Entry, number>} errors Of each tile, in pixels. */
+export function requestOrder(errors) {
+  // The difference of two infinite errors is no number: then the index decides.
+  const order = (a, b) => a.level - b.level || errors.get(b) - errors.get(a) || a.index - b.index;
+  return [...errors.keys()].sort(order);
+}
+
+/** Return drawn tiles that have a finer file, by worth × area gained per byte of it. */
+export function finerOrder(tiles, eye) {
+  const gain = ({ center, axes, worth, quality, sizes }) => {
+    const reach = Math.hypot(...axes.flat());
+    const share = Math.min(reach / Math.max(Math.hypot(...plus(center, -1, eye)), 1e-9), 1);
+    return (share ** 2 * (worth[0] - worth[quality])) / sizes[0];
+  };
+  const gains = new Map([...tiles].filter(({ quality }) => quality > 0).map((tile) => [tile, gain(tile)]));
+  return [...gains.keys()].sort((a, b) => gains.get(b) - gains.get(a) || a.index - b.index);
+}
+
+/** Predicts cameras: positions keep their velocity, turns fade. */
+export class CameraPredictor {
+  constructor({ velocitySeconds, turnSeconds }) {
+    this._window = velocitySeconds;
+    this._fading = turnSeconds;
+    /** @type {{time: number, eye: number[], turn: number[]}[]} Turns are camera → world. */
+    this._poses = [];
+  }
+
+  observe(time, camera) {
+    const poses = this._poses;
+    poses.push({ time, eye: eyeOf(camera), turn: transposed(linearPart(camera.view)) });
+    while (poses.length > 2 && poses[1].time < time - this._window) poses.shift();
+  }
+
+  /** Return the view, world → camera, some seconds after the last one; null after too few. */
+  predict(seconds) {
+    const [first, last] = [this._poses[0], this._poses.at(-1)];
+    if (!first || last.time <= first.time) return null;
+    const share = 1 / (last.time - first.time);
+    const eye = plus(last.eye, seconds * share, plus(last.eye, -1, first.eye));
+    const relative = product(last.turn, transposed(first.turn));
+    const axis = [relative[7] - relative[5], relative[2] - relative[6], relative[3] - relative[1]];
+    const sine = Math.hypot(...axis); // twice the sine; the trace is 1 + 2 cos
+    const angle = Math.atan2(sine, relative[0] + relative[4] + relative[8] - 1);
+    const reach = this._fading * (1 - Math.exp(-seconds / this._fading));
+    const turn = sine < INITIAL ? last.turn
+      : product(rotation(axis.map((x) => x / sine), angle * share * reach), last.turn);
+    return viewOf(transposed(turn), eye);
+  }
+}
+
+/** Decides what is requested, and what is cancelled. */
+export class RequestPlanner {
+  /**
+   * @param {any} rules The numbers of the order, from the plans.
+   * @param {{free: number, request: (tile: any, purpose: string) => void,
+   *     progress: (tile: any) => number, cancel: (tile: any) => number}} link
+   */
+  constructor(rules, link) {
+    this._rules = rules;
+    this._link = link;
+    /** @type {Entry[]} */
+    this._order = [];
+    /** @type {Map<any, string>} The tiles in flight, and why: needed, prefetched or finer. */
+    this.pending = new Map();
+    /** @type {Map<any, number>} Prefetched tiles that were not seen yet, and when they came. */
+    this._early = new Map();
+    this._unseen = new Map(); // tiles that came and were not seen, and the bytes of their files
+    this._used = this._late = 0;
+    this.received = this.wasted = this.requests = 0; // bytes, bytes, count
+  }
+
+  /** Take the tiles that a camera sees with their errors; cancel what delays them. */
+  frame(time, seen, isLoaded) {
+    this._order = requestOrder(seen);
+    for (const tile of seen.keys()) if (isLoaded(tile)) this._unseen.delete(tile);
+    for (const [tile, arrival] of this._early) {
+      const isSeen = seen.has(tile) && isLoaded(tile);
+      if (!isSeen && time - arrival <= 2 * this._rules.horizonSeconds) continue;
+      this._used += Number(isSeen);
+      this._late += Number(!isSeen);
+      this._early.delete(tile);
+    }
+    for (const [tile, purpose] of this.pending) {
+      if (purpose === "prefetched" && seen.has(tile)) this.pending.set(tile, "needed");
+    }
+    if (!this.missing(isLoaded).length) return;
+    for (const [tile, purpose] of this.pending) {
+      if (purpose === "needed" || this._link.progress(tile) >= this._rules.cancelFraction) continue;
+      const received = this._link.cancel(tile);
+      this.received += received;
+      this.wasted += received;
+      this.pending.delete(tile);
+    }
+  }
+
+  /** Request while connections are free. @param {() => any[]} candidates Tiles that will be seen. */
+  fill(isLoaded, finer, candidates) {
+    while (this._link.free > 0) {
+      const [tile, purpose] = this._next(isLoaded, finer, candidates);
+      if (!tile) return;
+      this.pending.set(tile, purpose);
+      this.requests += 1;
+      this._link.request(tile, purpose);
+    }
+  }
+
+  /** Take note of a tile that has come, with the bytes of its file. */
+  arrive(tile, time, bytes) {
+    if (this.pending.get(tile) === "prefetched") this._early.set(tile, time);
+    this.pending.delete(tile);
+    this.received += bytes;
+    this.wasted += this._unseen.get(tile) ?? 0; // dropped unseen, and asked for again
+    this._unseen.set(tile, bytes);
+  }
+
+  fail(tile) {
+    this.pending.delete(tile);
+  }
+
+  /** Return the seen tiles that are neither loaded nor in flight; a missing root alone. */
+  missing(isLoaded) {
+    const missing = this._order.filter((tile) => !isLoaded(tile));
+    return (missing[0]?.level === 0 ? missing.slice(0, 1) : missing).filter((tile) => !this.pending.has(tile));
+  }
+
+  _next(isLoaded, finer, candidates) {
+    const [first] = this.missing(isLoaded);
+    if (first) return [first, "needed"];
+    if (!this._order.every(isLoaded)) return [];
+    const ahead = candidates().find((tile) => !isLoaded(tile) && !this.pending.has(tile));
+    if (ahead && this._affords(ahead.bytes)) return [ahead, "prefetched"];
+    return [finer.find((tile) => !this.pending.has(tile)), "finer"];
+  }
+
+  /** Return whether one more prefetch keeps the expected share of unused bytes low. */
+  _affords(bytes) {
+    const sum = (numbers) => [...numbers].reduce((total, number) => total + number, 0);
+    const early = [...this.pending].map(([tile, purpose]) => (purpose === "prefetched" ? tile.bytes : 0));
+    const asked = bytes + sum(early);
+    const received = this.received + asked;
+    const unseen = this.wasted + sum(this._unseen.values()) + asked;
+    const precision = (this._used + PRIOR_TILES / 2) / (this._used + this._late + PRIOR_TILES);
+    const hoped = (asked + sum([...this._early.keys()].map((tile) => tile.bytes))) * precision;
+    const { wasteFraction, unseenFraction } = this._rules;
+    return unseen - hoped <= wasteFraction * received && unseen <= unseenFraction * received;
+  }
+}
