@@ -214,6 +214,35 @@ def test_a_page_draws_the_implicit_tiles_that_python_selects(
         np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-4)
 
 
+@pytest.mark.parametrize("is_implicit", [False, True], ids=["explicit", "implicit"])
+def test_a_page_draws_coarse_files_first_and_the_finest_in_the_end(
+    is_implicit: bool, folder: Path, site: WebSite, renderer: Renderer, tmp_path: Path
+) -> None:
+    """The root's coarsest file comes alone, each coarsest file before its finest."""
+    parameters = replace(SMALL, leaf=900, qualities=(0, 2, 4), implicit=is_implicit)
+    build([folder.parent / "knot.ply"], tmp_path, parameters)
+    base = f"/qualities-{is_implicit}"
+    files = {path.relative_to(tmp_path).as_posix(): path for path in tmp_path.rglob("*.*")}
+    site.contents.update({f"{base}/{name}": path.read_bytes() for name, path in files.items()})
+    site.requests.clear()
+    result = frames_of(site, site.address + base, CAMERAS[:1])
+    assert (result["failures"], result["errors"]) == ([], [])
+    asked = [uri.removeprefix(f"{base}/") for uri in site.requests if uri.endswith(".glb")]
+    tiles = [tile for tile in open_tileset(tmp_path).tiles() if tile.contents]
+    assert asked[0] == tiles[0].files[2]
+    [frame] = result["frames"]
+    drawn = [tile for tile in tiles if tile.contents[0].uri in frame["drawn"]]
+    for tile in drawn:
+        assert [uri for uri in asked if uri in tile.files] == [tile.files[2], tile.files[0]]
+    first_fine = next(index for index, uri in enumerate(asked) if uri == drawn[0].files[0])
+    assert all(tile.files[2] in asked[:first_fine] for tile in drawn)
+    sets = expected_sets(tmp_path, CAMERAS[0])
+    assert frame["drawn"] == sorted(sets)
+    drawing = renderer.draw(Scene([part for parts in sets.values() for part in parts]), CAMERAS[0])
+    words = renderer.device.read(drawing.image, np.float32, 4 * _SIZE["width"] * _SIZE["height"])
+    np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-4)
+
+
 def foreign_tree(folder: Path, rng: np.random.Generator, dimensions: int) -> Path:
     """Write a random implicit tree of two to three subtrees of two levels, without metadata."""
     names = "".join(f".{{{axis}}}" for axis in "xyz"[:dimensions])

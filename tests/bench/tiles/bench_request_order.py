@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsgen.tiles.loading.quality_ladder import SSIM, QualityLadder
+from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import ViewSettings
@@ -48,8 +48,8 @@ def utility(
     for row in range(len(tree) - 1, 0, -1):  # a coarse tile covers what the tiles below it cover
         area[tree.parent[row]] += area[row]
     density = 1 / (1 + np.where(tree.is_leaf, 0, cut.error) / _HALF_WORTH)
-    shown = (area * density * ladder.quality_scores[held_levels])[drawn].sum()
-    return float(shown / (ideal_area * density)[cut.selected].sum() / ladder.quality_scores[0])
+    shown = (area * density * ladder.worth[np.arange(len(tree)), held_levels])[drawn].sum()
+    return float(shown / (ideal_area * density)[cut.selected].sum() / ladder.worth[0, 0])
 
 
 def stream(
@@ -63,7 +63,7 @@ def stream(
     view = ViewSettings(width=640, height=360)
     held_levels, in_flight = np.full(len(tree), -1), {}
     utilities, hole_count = [], 0
-    first_quality = 0 if order == "finest files" else len(ladder.quality_scores) - 1
+    first_quality = 0 if order == "finest files" else ladder.size.shape[1] - 1
 
     def request(cut: TileCut, drawn: np.ndarray, eye: np.ndarray) -> None:
         loaded = held_levels >= 0
@@ -107,9 +107,8 @@ def stream(
 def bench_request_order(tmp_path: Path) -> None:
     tree = TileTree.of_tileset(open_tileset(write_town(tmp_path)))
     sizes = tree.size[:, None] * _SHARES
-    ladder = QualityLadder(
-        tiles=(), size=sizes, quality_scores=np.array([SSIM[q] for q in (0, 2, 4)])
-    )
+    worth = np.tile([0.9997, 0.9844, 0.9661], (len(tree), 1))
+    ladder = QualityLadder(files=(), size=sizes, worth=worth)
     print(f"\n{len(tree)} tiles: mean utility, frames below {_GOOD}, frames with holes")
     mean_worths = {}
     for order in ORDERS:

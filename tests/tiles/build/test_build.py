@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from gsgen.formats import write_ply
-from gsgen.tiles.build.build import WORK_FOLDER, build_tileset
+from gsgen.tiles.build.build import WORK_FOLDER, _sole_build, build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import SilentProgress
 from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
+from support.commands import gsgen_here
 from support.tiles.builds import CHUNK, PARTITION, SMALL, build
 from support.tiles.tile_scenes import digests, scattered
 
@@ -185,7 +186,7 @@ from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import JsonProgress
 
 if __name__ == "__main__":
-    parameters = BuildParameters(leaf=700, transform=upright_transform())
+    parameters = BuildParameters(leaf=700, qualities=(0,), implicit=False, transform=upright_transform())
     with open_engine(sys.argv[3], 2) as engine:
         build_tileset([Path(sys.argv[1])], Path(sys.argv[2]), parameters, engine=engine,
                       progress=JsonProgress(lambda line: print(line, flush=True)),
@@ -238,6 +239,19 @@ def test_a_killed_worker_changes_no_byte(scene, town, tmp_path, engine):
     assert killed == 1
     assert process.returncode == 0, err
     assert digests(tmp_path / "tiles") == digests(town)
+
+
+def test_two_builds_in_one_folder_are_refused_in_one_line(scene, tmp_path):
+    """The second names the process that builds; once that has ended, it builds."""
+    command = ("tiles", "build", scene, "-o", tmp_path / "tiles", "--engine", "serial")
+    with _sole_build(tmp_path / "tiles"):
+        completed = gsgen_here(*command)
+    assert (completed.code, completed.out) == (2, "")
+    expected = f"{tmp_path / 'tiles'}: process {os.getpid()} is building a tileset in this folder"
+    assert expected in completed.err
+    assert "Traceback" not in completed.err
+    assert gsgen_here(*command).code == 0
+    assert not (tmp_path / "tiles" / WORK_FOLDER).exists()
 
 
 def test_a_second_build_has_nothing_to_do(scene, tmp_path):

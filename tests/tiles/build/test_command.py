@@ -90,7 +90,6 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(scene, tmp_path):
         (["--lon", "300", "--lat", "1"], 2, "--lon: is 300"),
         (["--transform", "none.json"], 2, "none.json: cannot be read"),
         (["--transform", "none.json", "--lon", "3"], 2, "cannot be combined with"),
-        (["--implicit", "--quality", "2"], 2, "2 qualities with --implicit; expected 1"),
         (["--leaf", "0"], 2, "leaf"),
         (["missing.ply"], 4, "missing.ply: cannot be read"),
     ],

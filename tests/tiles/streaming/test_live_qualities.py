@@ -13,7 +13,7 @@ from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.stream_settings import StreamSettings
-from gsgen.tiles.loading.quality_ladder import load_ladder
+from gsgen.tiles.loading.quality_ladder import quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -41,43 +41,37 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_ladder_names_the_files_of_each_quality(town: Path) -> None:
     store = FolderStore(town)
     tileset = load_tileset(store, "tileset.json")
-    ladder = load_ladder(store, "tileset.json", tileset)
+    ladder = quality_ladder(tileset)
     assert ladder is not None
-    assert (np.diff(ladder.quality_scores) < 0).all()
-    for quality, tiles in enumerate(ladder.tiles):
-        for row, tile in enumerate(tiles):
-            assert store.size(tile.contents[0].uri) == ladder.size[row, quality]
-    assert [tile.contents[0].uri for tile in ladder.tiles[0]] == [
-        tile.contents[0].uri for tile in tileset.tiles()
-    ]
+    assert (np.diff(ladder.worth) < 0).all()
+    for row, files in enumerate(ladder.files):
+        assert [store.size(uri) for uri in files] == ladder.size[row].tolist()
+    first_files = [files[0] for files in ladder.files]
+    assert first_files == [tile.contents[0].uri for tile in tileset.tiles()]
 
 
 @pytest.mark.parametrize(("quality", "steps"), [(0, 3), (2, 2), (4, 0)])
 def test_no_file_is_finer_than_the_index_that_was_opened(
     town: Path, quality: int, steps: int
 ) -> None:
-    store, index = FolderStore(town), f"tileset-q{quality}.json"
-    tileset = load_tileset(store, index)
-    ladder = load_ladder(store, index, tileset)
-    assert (0 if ladder is None else len(ladder.quality_scores)) == steps
+    tileset = load_tileset(FolderStore(town), f"tileset-q{quality}.json")
+    ladder = quality_ladder(tileset)
+    assert (0 if ladder is None else ladder.size.shape[1]) == steps
     if ladder:
-        assert ladder.tiles[0][0].contents[0].uri == tileset.root.contents[0].uri
+        assert ladder.files[0][0] == tileset.root.contents[0].uri
 
 
-def test_there_is_no_ladder_without_all_its_tilesets(town: Path, tmp_path: Path) -> None:
-    for file_names in (("tileset-q0.json", "tileset-q2.json"), ()):
-        folder = tmp_path / str(len(file_names))
-        folder.mkdir()
-        for name in ("tileset.json", *file_names):
-            (folder / name).write_bytes((town / name).read_bytes())
-        store = FolderStore(folder)
-        assert load_ladder(store, "tileset.json", load_tileset(store, "tileset.json")) is None
-    other = json.loads((town / "tileset-q4.json").read_text())
-    other["root"]["children"].pop()
-    for name in ("tileset-q0.json", "tileset-q2.json"):
-        (folder / name).write_bytes((town / name).read_bytes())
-    (folder / "tileset-q4.json").write_text(json.dumps(other))
-    assert load_ladder(store, "tileset.json", load_tileset(store, "tileset.json")) is None
+@pytest.mark.parametrize("name", ["files", "bytes", "worth"])
+def test_there_is_no_ladder_unless_every_tile_tells_all(
+    town: Path, tmp_path: Path, name: str
+) -> None:
+    """Such a tileset is drawn from the files that its index names."""
+    document = json.loads((town / "tileset.json").read_text())
+    properties = document["root"]["children"][-1]["metadata"]["properties"]
+    for entries in (None, properties[name][:2], "text"):
+        properties[name] = entries
+        (tmp_path / "tileset.json").write_text(json.dumps(document))
+        assert quality_ladder(load_tileset(FolderStore(tmp_path), "tileset.json")) is None
 
 
 def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path, tmp_path: Path) -> None:

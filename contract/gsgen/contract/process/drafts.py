@@ -74,7 +74,7 @@ def _make_locked_draft(holding_folder: Path, prefix: str) -> Path:
         draft = holding_folder / f"{prefix}{secrets.token_hex(8)}.part"
         draft.mkdir(mode=0o700)
         try:
-            descriptor = _lock(draft)
+            descriptor = lock_folder(draft)
         except (BlockingIOError, FileNotFoundError):  # it was swept before it was locked
             continue
         _own_drafts[draft] = descriptor
@@ -90,7 +90,7 @@ def _remove_draft(draft: Path) -> None:
 
 def _remove_ownerless_draft(draft: Path) -> bool:
     try:
-        descriptor = _lock(draft)
+        descriptor = lock_folder(draft)
     except OSError:  # the owner lives, or another process removes it
         return False
     if descriptor is None:
@@ -104,8 +104,8 @@ def _remove_ownerless_draft(draft: Path) -> bool:
         os.close(descriptor)
 
 
-def _lock(draft: Path) -> int | None:
-    """Lock a temporary folder; return the descriptor that holds the lock, None without locks.
+def lock_folder(folder: Path) -> int | None:
+    """Lock a folder; return the descriptor that holds the lock, None without locks.
 
     Raises:
         BlockingIOError: Another process holds the lock.
@@ -115,10 +115,10 @@ def _lock(draft: Path) -> int | None:
         import fcntl
     except ImportError:  # Windows
         return None
-    descriptor = os.open(draft, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        draft.stat()  # between opening and locking, another process may have removed it
+        folder.stat()  # between opening and locking, another process may have removed it
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
         raise

@@ -8,8 +8,10 @@ __all__ = ["BuildReport", "build_tileset"]
 import hashlib
 import json
 import math
+import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar, final
@@ -17,6 +19,7 @@ from typing import Final, TypeVar, final
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.contract.process.drafts import lock_folder
 from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
 from gsgen.tiles.build.engines.engine import Engine
@@ -52,6 +55,8 @@ from gsgen.tiles.format.json_values import JsonDict
 
 WORK_FOLDER: Final = ".gsgen-build"
 """Folder in the output that holds spills and markers until the build is done."""
+
+_OWNER_FILE: Final = "process"  # in the work folder: the number of the process that builds
 
 PARTITION_SPLATS: Final = 500_000
 """Splats that one task sorts and builds: enough to keep workers busy, few enough for many."""
@@ -145,7 +150,8 @@ def build_tileset(
 
     Raises:
         InputUnreadable: A scene cannot be read, or has no splat that can be drawn.
-        ConfigInvalid: The folder holds something else, or cannot be written to.
+        ConfigInvalid: The folder holds something else, cannot be written to, or another process
+            builds in it.
         EngineFailed: Workers died again and again.
     """
     _require_output(output)
@@ -159,40 +165,69 @@ def build_tileset(
     output = output.resolve()
     chunks = chunks_of(files, chunk_bytes)
     division = (chunk_bytes, partition)
-    work = _prepare_output(output, files, parameters, division, fresh=fresh)
-    run = _BuildRun(engine=engine, progress=progress)
-    # 1. Scan: boxes, counts, digests.
-    total = sum(chunk.count for chunk in chunks)
-    tasks = [ScanTask(chunk=chunk, work=str(work)) for chunk in chunks]
-    facts = run.phase("scan", total, run_scan, tasks)
-    skipped = _report_skipped_splats(facts, chunks, progress)
-    if parameters.codec == "spz":
-        _report_large_splats(facts, progress)
-    splats = total - skipped
-    if splats == 0:
-        raise InputUnreadable(
-            f"none of the {total:,} splats has finite values, expected at least one",
-            where=files[0].path,
-        )
-    is_implicit = not generators and parameters.is_implicit(splats)
-    parameters = replace(parameters, implicit=is_implicit)
-    models = [f"generator {generator.sha256}" for generator in generators]
-    key = parameters.key([*_content_digests(facts, chunks), *models])
-    record = None if fresh else is_complete(output, key)
-    if record is not None:
-        shutil.rmtree(output / WORK_FOLDER, ignore_errors=True)
-        return _up_to_date_report(output, record, skipped)
-    # 2. Plan: cells, partitions, top.
-    plan_path = work / "plan.json"
-    if not plan_path.exists():
-        save_plan(_plan(run, files, chunks, facts, parameters, partition, output, work), plan_path)
-    plan = load_plan(str(plan_path))
-    if plan.count != splats:
-        raise AssertionError(f"the octree cells hold {plan.count} splats, expected {splats}")
-    _write_tiles(run, str(plan_path), total)
-    # 5. The index, and nothing else is left.
-    progress.begin("index", 0)
-    return _write_build_report(plan, key, skipped, generators)
+    with _sole_build(output):
+        work = _prepare_output(output, files, parameters, division, fresh=fresh)
+        run = _BuildRun(engine=engine, progress=progress)
+        # 1. Scan: boxes, counts, digests.
+        total = sum(chunk.count for chunk in chunks)
+        tasks = [ScanTask(chunk=chunk, work=str(work)) for chunk in chunks]
+        facts = run.phase("scan", total, run_scan, tasks)
+        skipped = _report_skipped_splats(facts, chunks, progress)
+        if parameters.codec == "spz":
+            _report_large_splats(facts, progress)
+        splats = total - skipped
+        if splats == 0:
+            raise InputUnreadable(
+                f"none of the {total:,} splats has finite values, expected at least one",
+                where=files[0].path,
+            )
+        is_implicit = not generators and parameters.is_implicit(splats)
+        parameters = replace(parameters, implicit=is_implicit)
+        models = [f"generator {generator.sha256}" for generator in generators]
+        key = parameters.key([*_content_digests(facts, chunks), *models])
+        record = None if fresh else is_complete(output, key)
+        if record is not None:
+            shutil.rmtree(output / WORK_FOLDER, ignore_errors=True)
+            return _up_to_date_report(output, record, skipped)
+        # 2. Plan: cells, partitions, top.
+        plan_path = work / "plan.json"
+        if not plan_path.exists():
+            save_plan(
+                _plan(run, files, chunks, facts, parameters, partition, output, work), plan_path
+            )
+        plan = load_plan(str(plan_path))
+        if plan.count != splats:
+            raise AssertionError(f"the octree cells hold {plan.count} splats, expected {splats}")
+        _write_tiles(run, str(plan_path), total)
+        # 5. The index, and nothing else is left.
+        progress.begin("index", 0)
+        return _write_build_report(plan, key, skipped, generators)
+
+
+@contextmanager
+def _sole_build(output: Path) -> Iterator[None]:
+    """Hold the lock of an output folder, in which one process builds at a time."""
+    folder = output / WORK_FOLDER
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = lock_folder(folder)
+        (folder / _OWNER_FILE).write_text(str(os.getpid()), "utf-8")
+    except BlockingIOError:
+        owner_file = folder / _OWNER_FILE
+        owner = owner_file.read_text("utf-8") if owner_file.is_file() else "that has just begun"
+        raise ConfigInvalid(
+            f"process {owner} is building a tileset in this folder",
+            where=str(output),
+            hint="Wait until it has ended, or name another folder.",
+        ) from None
+    except OSError as error:
+        message = f"cannot be written: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(error.filename or folder)) from error
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
@@ -288,8 +323,9 @@ def _prepare_output(
     folder = output / WORK_FOLDER
     try:
         for stale_file in folder.glob("*"):
-            if fresh or stale_file.name != name:
-                shutil.rmtree(stale_file) if stale_file.is_dir() else stale_file.unlink()
+            if fresh or stale_file.name not in (name, _OWNER_FILE):
+                # Workers of a killed build may still write: what they leave goes with the folder.
+                shutil.rmtree(stale_file, ignore_errors=True)
         (folder / name).mkdir(parents=True, exist_ok=True)
         sweep(output)
     except OSError as error:

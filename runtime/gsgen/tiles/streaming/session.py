@@ -15,7 +15,7 @@ from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.origins import Origin
 from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
-from gsgen.tiles.loading.quality_ladder import TileQualities, load_ladder
+from gsgen.tiles.loading.quality_ladder import TileQualities, quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictor import Predictor
@@ -127,7 +127,7 @@ def open_session(
         if options.cache_bytes:
             folder = options.cache_folder or default_cache_folder()
             cache = DiskCache(folder, options.cache_bytes)
-        ladder = load_ladder(store, index, tileset)
+        ladder = quality_ladder(tileset)
         qualities = TileQualities(ladder) if ladder else None
         if qualities:
             tree = replace(tree, size=qualities.coarsest_size.copy())

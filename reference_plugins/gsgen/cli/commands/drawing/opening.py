@@ -98,7 +98,7 @@ def open_scenes(
         confined = confined_models([*scenes, *model_paths], post or (), limits, provider)
         if confined is not None:
             exit_stack.callback(confined.close)
-        stream = tileset_opener(streaming, confined)
+        stream = tileset_opener(_shared_budget(streaming, [*scenes, *model_paths]), confined)
         with _warnings_as_notes():
             try:
                 sizes_by_path = _sizes_by_path([*scenes, *model_paths, *(post or ())], sizes or {})
@@ -193,6 +193,16 @@ def tileset_opener(
         return open_stream(path, provider, settings, confined)
 
     return open_tileset
+
+
+def _shared_budget(
+    settings: "StreamSettings | None", paths: "Sequence[Path]"
+) -> "StreamSettings | None":
+    """Return the settings of each tileset of a command: an equal share of the Gaussians."""
+    count = sum(map(names_tileset, paths))
+    if settings is None or count < 2:
+        return settings
+    return replace(settings, max_splats=settings.max_splats // count)
 
 
 def read_splats(

@@ -190,7 +190,7 @@ def render(
         )
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
             echo(f"note: {note}", err=True)
-        _write(sequence, output, bits=bit_count, as_json=as_json)
+        _write(sequence, sources, output, bits=bit_count, as_json=as_json)
         _report_shortfalls(sources, allow_missing=allow_missing)
 
 
@@ -253,7 +253,14 @@ def _transparency_notes(
     return []
 
 
-def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_json: bool) -> None:
+def _write(
+    sequence: "FrameSequence",
+    sources: "list[Source]",
+    output: Path,
+    *,
+    bits: Literal[8, 16],
+    as_json: bool,
+) -> None:
     """Draw all frames of a sequence into ``output``, and print a summary."""
     from gsgen.cli.progress import clear, progress
     from gsgen.runtime.media.pictures import VIDEO_SUFFIXES
@@ -274,7 +281,8 @@ def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_
     seconds = clock.perf_counter() - start_time
     document = sequence.summary() | {"output": str(output), "seconds": round(seconds, 3)}
     if as_json:
-        echo_json(document)
+        shortfalls = [shortfall for source in sources if (shortfall := source.shortfall)]
+        echo_json(document | {"missing": sum(shortfall.tiles for shortfall in shortfalls)})
         return
     count = f"{sequence.frames} frames of " if sequence.frames > 1 else ""
     triangles = f"{document['triangles']:,} triangles, " if document["triangles"] else ""

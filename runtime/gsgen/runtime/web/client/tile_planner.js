@@ -10,21 +10,14 @@
 import { eyeOf, viewOf } from "./camera.js";
 import { linearPart, plus, product, rotation, transposed } from "./matrices.js";
 
-/**
- * @typedef {object} Entry A tile, as the planner sees it.
- * @property {number} level
- * @property {number} index In the order in which tiles became known.
- * @property {number} bytes Of its coarsest file.
- */
+/** @typedef {{level: number, index: number, bytes: number}} Entry A tile; the bytes are of its coarsest file. */
 
 const PRIOR_TILES = 4; // prefetched tiles, half of them seen, that precision begins with
-const INITIAL = 1e-9; // a rotation below this angle has no axis
 
 /** Return tiles in the order of request. @param {Map<Entry, number>} errors Of each tile, in pixels. */
 export function requestOrder(errors) {
   // The difference of two infinite errors is no number: then the index decides.
-  const order = (a, b) => a.level - b.level || errors.get(b) - errors.get(a) || a.index - b.index;
-  return [...errors.keys()].sort(order);
+  return [...errors.keys()].sort((a, b) => a.level - b.level || errors.get(b) - errors.get(a) || a.index - b.index);
 }
 
 /** Return drawn tiles that have a finer file, by worth × area gained per byte of it. */
@@ -40,9 +33,8 @@ export function finerOrder(tiles, eye) {
 
 /** Predicts cameras: positions keep their velocity, turns fade. */
 export class CameraPredictor {
-  constructor({ velocitySeconds, turnSeconds }) {
-    this._window = velocitySeconds;
-    this._fading = turnSeconds;
+  constructor(rules) {
+    this._rules = rules;
     /** @type {{time: number, eye: number[], turn: number[]}[]} Turns are camera → world. */
     this._poses = [];
   }
@@ -50,7 +42,7 @@ export class CameraPredictor {
   observe(time, camera) {
     const poses = this._poses;
     poses.push({ time, eye: eyeOf(camera), turn: transposed(linearPart(camera.view)) });
-    while (poses.length > 2 && poses[1].time < time - this._window) poses.shift();
+    while (poses.length > 2 && poses[1].time < time - this._rules.velocitySeconds) poses.shift();
   }
 
   /** Return the view, world → camera, some seconds after the last one; null after too few. */
@@ -63,10 +55,10 @@ export class CameraPredictor {
     const axis = [relative[7] - relative[5], relative[2] - relative[6], relative[3] - relative[1]];
     const sine = Math.hypot(...axis); // twice the sine; the trace is 1 + 2 cos
     const angle = Math.atan2(sine, relative[0] + relative[4] + relative[8] - 1);
-    const reach = this._fading * (1 - Math.exp(-seconds / this._fading));
-    const turn = sine < INITIAL ? last.turn
-      : product(rotation(axis.map((x) => x / sine), angle * share * reach), last.turn);
-    return viewOf(transposed(turn), eye);
+    const { turnSeconds } = this._rules;
+    const turned = angle * share * turnSeconds * (1 - Math.exp(-seconds / turnSeconds));
+    const turn = rotation(axis.map((x) => x / (sine || 1)), turned);
+    return viewOf(transposed(product(turn, last.turn)), eye);
   }
 }
 
@@ -80,12 +72,9 @@ export class RequestPlanner {
   constructor(rules, link) {
     this._rules = rules;
     this._link = link;
-    /** @type {Entry[]} */
-    this._order = [];
-    /** @type {Map<any, string>} The tiles in flight, and why: needed, prefetched or finer. */
-    this.pending = new Map();
-    /** @type {Map<any, number>} Prefetched tiles that were not seen yet, and when they came. */
-    this._early = new Map();
+    this._order = /** @type {Entry[]} */ ([]);
+    this.pending = new Map(); // the tiles in flight, and why: needed, prefetched or finer
+    this._early = new Map(); // prefetched tiles that were not seen yet, and when they came
     this._unseen = new Map(); // tiles that came and were not seen, and the bytes of their files
     this._used = this._late = 0;
     this.received = this.wasted = this.requests = 0; // bytes, bytes, count
@@ -135,10 +124,6 @@ export class RequestPlanner {
     this._unseen.set(tile, bytes);
   }
 
-  fail(tile) {
-    this.pending.delete(tile);
-  }
-
   /** Return the seen tiles that are neither loaded nor in flight; a missing root alone. */
   missing(isLoaded) {
     const missing = this._order.filter((tile) => !isLoaded(tile));
@@ -156,11 +141,10 @@ export class RequestPlanner {
 
   /** Return whether one more prefetch keeps the expected share of unused bytes low. */
   _affords(bytes) {
-    const sum = (numbers) => [...numbers].reduce((total, number) => total + number, 0);
-    const early = [...this.pending].map(([tile, purpose]) => (purpose === "prefetched" ? tile.bytes : 0));
-    const asked = bytes + sum(early);
+    const sum = (numbers) => numbers.reduce((total, number) => total + number, 0);
+    const asked = bytes + sum([...this.pending].map(([tile, purpose]) => (purpose === "prefetched" ? tile.bytes : 0)));
     const received = this.received + asked;
-    const unseen = this.wasted + sum(this._unseen.values()) + asked;
+    const unseen = this.wasted + sum([...this._unseen.values()]) + asked;
     const precision = (this._used + PRIOR_TILES / 2) / (this._used + this._late + PRIOR_TILES);
     const hoped = (asked + sum([...this._early.keys()].map((tile) => tile.bytes))) * precision;
     const { wasteFraction, unseenFraction } = this._rules;

@@ -21,6 +21,7 @@ const MOST_ATTEMPTS = 4; // of a request that fails by a fault of the network or
 const FIRST_PAUSE = 500; // milliseconds until the second attempt; doubled after each
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const ERROR_STEP = 1.5; // of the error while a cut does not fit into the slots
+const MOST_LEVELS = 32;
 const MOST_DEGREE = 3;
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
 // Readers turn glTF content as files (x, y, z) → (−x, −y, z); of a tile, its (x, −z, y) is meant.
@@ -45,8 +46,7 @@ class Tile {
     this.level = parent ? parent.level + 1 : 0;
     this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
     this.schema = json.schema ?? parent?.schema;
-    /** @type {{quality?: number, files?: string[]}} What the tileset says of all its tiles. */
-    this.facts = json.facts ?? parent?.facts;
+    this.facts = json.facts ?? parent?.facts; // what the tileset says of all its tiles
     /** @type {any} Which file describes the tiles at and below this one; null of explicit tiles. */
     this.subtree = json.subtree ?? firstSubtree(json);
     const contents = this.subtree ? [this.subtree] : (json.contents ?? [json.content ?? []]);
@@ -59,17 +59,15 @@ class Tile {
     this.seen = 0; // the last frame whose camera met it, or in which it came
     this.quality = -1; // of the file in its slots: 0 is the finest
     this.failures = 0;
-    this.retryAt = 0; // seconds, until which it is not asked for
-    /** @type {{stop: AbortController, loaded: number} | null} */
-    this.flight = null;
-    const { splats, bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
+    this.retryAt = 0; // seconds: it is not asked for before
+    const { bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
     const isTold = files.length > 1 && [bytes, worth].every(({ length }) => length === files.length);
+    // Files, their bytes and worth at each quality, finest first; empty where there is one.
     const told = (numbers) => (isTold ? numbers.slice(this.facts?.quality ?? 0) : []);
-    /** Files, their bytes and worth at each quality, finest first; empty where there is one. */
-    [this.files, this.sizes, this.worth] = [files, bytes, worth].map(told);
+    this.files = told(files);
+    this.sizes = told(bytes);
+    this.worth = told(worth);
     this.bytes = this.sizes.at(-1) ?? [bytes].flat()[0] ?? 0; // of the file that comes first
-    /** @type {number | undefined} */
-    this.splats = splats;
     this.needed = 1; // slots, as far as known
   }
 
@@ -94,6 +92,8 @@ class Tile {
     return this.error && (this.error * camera.fy) / Math.hypot(...beyond);
   }
 }
+
+const slotsOf = (tiles) => tiles.reduce((sum, { needed }) => sum + needed, 0);
 
 /** Return the root tile of a tileset. */
 function rootOf({ root, schema, metadata }, parent, address) {
@@ -121,7 +121,7 @@ export class TilesetModel {
     const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
     await model.update({}, camera);
     while (model.loading && !model._held.size && !options.signal?.aborted) {
-      await Promise.race(model._requests.values());
+      await Promise.race([...model._flights.values()].map(({ end }) => end));
       await model.update({}, camera);
     }
     if (options.signal?.aborted) model.destroy();
@@ -149,8 +149,7 @@ export class TilesetModel {
     this._predictor = new CameraPredictor(plans.streaming);
     this._planner = new RequestPlanner(plans.streaming, this);
     this._planned = -Infinity; // when tiles to come were last predicted
-    /** @type {Tile[]} */
-    this._ahead = [];
+    this._ahead = /** @type {Tile[]} */ ([]);
     this._options = { ...options, maxError: options.maxError ?? maxError };
     this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
     /** From the axes of the splats that it was built from, which scene files place, to its own. */
@@ -168,8 +167,7 @@ export class TilesetModel {
     this.buffers = { count: 0, isLinear: false };
     /** @type {Tile[]} */
     this.drawn = [];
-    /** @type {Map<Tile, Promise<void>>} */
-    this._requests = new Map();
+    this._flights = new Map(); // tiles that are being loaded
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
@@ -188,12 +186,8 @@ export class TilesetModel {
     const isLoaded = (tile) => Boolean(tile.slots) || !tile.uris.length || tile.retryAt > time;
     this._planner.frame(time, cut.seen, isLoaded);
     const finer = finerOrder(this.drawn.filter((tile) => tile.retryAt <= time), eyeOf(camera));
-    const candidates = () => {
-      if (time - this._planned >= this._rules.planSeconds) [this._planned, this._ahead] = [time, this._predicted(camera)];
-      return this._ahead;
-    };
     // What would not fit beside the tiles in flight is asked for later.
-    this._planner.fill((tile) => isLoaded(tile) || tile.needed > this._room(), finer, candidates);
+    this._planner.fill((tile) => isLoaded(tile) || tile.needed > this._room(), finer, () => this._predicted(time, camera));
     return false;
   }
 
@@ -214,13 +208,12 @@ export class TilesetModel {
 
   /** Return a cut whose tiles fit into the slots: a coarser one, or one of fewer levels. */
   _cutWithinSlots(camera) {
-    const slots = ({ seen }) => [...seen.keys()].reduce((sum, { uris, needed }) => sum + (uris.length && needed), 0);
+    const fits = ({ seen }) => slotsOf([...seen.keys()].filter(({ uris }) => uris.length)) <= this.sets.length;
     let error = this._options.maxError;
     let cut = this._cut(camera, error);
     const most = Math.max(...[...cut.seen.values()].filter(Number.isFinite));
-    while (slots(cut) > this.sets.length && error < most) cut = this._cut(camera, (error *= ERROR_STEP));
-    let level = Math.max(...[...cut.seen.keys()].map((tile) => tile.level));
-    while (slots(cut) > this.sets.length && level > 0) cut = this._cut(camera, error, --level);
+    while (!fits(cut) && error < most) cut = this._cut(camera, (error *= ERROR_STEP));
+    for (let level = MOST_LEVELS; !fits(cut) && level--; ) cut = this._cut(camera, error, level);
     return cut;
   }
 
@@ -236,41 +229,42 @@ export class TilesetModel {
   }
 
   /** Return the tiles that predicted cameras see, the earliest first. */
-  _predicted(camera) {
-    const { horizonSeconds, horizonFractions } = this._rules;
+  _predicted(time, camera) {
+    const { horizonSeconds, horizonFractions, planSeconds } = this._rules;
+    if (time - this._planned < planSeconds) return this._ahead;
     const views = horizonFractions.map((share) => this._predictor.predict(share * horizonSeconds));
-    const tiles = views.filter(Boolean).flatMap((view) => {
-      return requestOrder(this._cut({ ...camera, view }, this._options.maxError).seen);
-    });
-    return [...new Set(tiles)];
+    const cuts = views.filter(Boolean).map((view) => this._cut({ ...camera, view }, this._options.maxError));
+    [this._planned, this._ahead] = [time, [...new Set(cuts.flatMap(({ seen }) => requestOrder(seen)))]];
+    return this._ahead;
   }
 
   /** How many tiles are being loaded. */
   get loading() {
-    return this._requests.size;
+    return this._flights.size;
   }
 
   get free() {
-    return this._rules.requests - this._requests.size;
+    return this._rules.requests - this._flights.size;
   }
 
   progress(tile) {
-    return tile.flight.loaded / Math.max(tile.quality < 0 ? tile.bytes : tile.sizes[0], 1);
+    return this._flights.get(tile).loaded / Math.max(tile.quality < 0 ? tile.bytes : tile.sizes[0], 1);
   }
 
   cancel(tile) {
-    tile.flight.stop.abort();
-    this._requests.delete(tile);
-    return tile.flight.loaded;
+    const { stop, loaded } = this._flights.get(tile);
+    stop.abort();
+    this._flights.delete(tile);
+    return loaded;
   }
 
   request(tile) {
-    const flight = (tile.flight = { stop: new AbortController(), loaded: 0 });
-    const request = this._load(tile, flight).finally(() => {
-      if (this._requests.get(tile) === request) this._requests.delete(tile);
+    const flight = { stop: new AbortController(), loaded: 0, end: Promise.resolve() };
+    this._flights.set(tile, flight);
+    flight.end = this._load(tile, flight).finally(() => {
+      if (this._flights.get(tile) === flight) this._flights.delete(tile);
       if (!this._stop.signal.aborted) this._options.onChange();
     });
-    this._requests.set(tile, request);
   }
 
   async _load(tile, flight) {
@@ -299,7 +293,7 @@ export class TilesetModel {
       this._planner.arrive(tile, performance.now() / 1000, tile.sizes[quality] ?? flight.loaded);
     } catch (error) {
       if (signal.aborted) return;
-      this._planner.fail(tile);
+      this._planner.pending.delete(tile);
       const pause = error.isTransient ? this._rules.retrySeconds * 2 ** tile.failures : Infinity;
       tile.retryAt = performance.now() / 1000 + pause;
       if (pause < Infinity) setTimeout(() => signal.aborted || this._options.onChange(), 1000 * pause);
@@ -335,9 +329,8 @@ export class TilesetModel {
   /** Return how many slots a tile may take beside those that the camera needs or that are on their way. */
   _room(tile = undefined) {
     const unseen = [...this._held].filter(({ seen }) => seen < this._frame);
-    const evictable = unseen.reduce((sum, { slots }) => sum + slots.length, 0);
-    const coming = [...this._requests.keys()].filter((other) => other !== tile && !other.slots);
-    return this._free.length + evictable - coming.reduce((sum, { needed }) => sum + needed, 0);
+    const coming = [...this._flights.keys()].filter((other) => other !== tile && !other.slots);
+    return this._free.length + slotsOf(unseen) - slotsOf(coming);
   }
 
   /** Free the slots of a tile. */
