@@ -27,8 +27,7 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
   const log = [];
   const flying = new Map();
   const link = {
-    get free() { return connections - flying.size; },
-    request(tile, purpose) { flying.set(tile, 0); log.push([tile.index, purpose]); },
+    request(tile) { flying.set(tile, 0); log.push([tile.index, planner.pending.get(tile)]); },
     progress: (tile) => flying.get(tile),
     cancel(tile) {
       const received = Math.round(tile.bytes * flying.get(tile));
@@ -37,14 +36,14 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
       return received;
     },
   };
-  const planner = new RequestPlanner(rules, link);
+  const planner = new RequestPlanner({ ...rules, requests: connections }, link);
   const isLoaded = (tile) => tile.quality >= 0;
   for (const { time, seen, candidates, progress, arrivals, evicted } of frames) {
     for (const index of arrivals) {
       const tile = tiles[index];
       tile.quality = tile.quality < 0 ? 1 : 0;
       flying.delete(tile);
-      planner.arrive(tile, time, tile.sizes[tile.quality]);
+      planner.arrive(tile, time, tile.files[tile.quality].bytes);
     }
     for (const index of evicted) tiles[index].quality = -1;
     for (const [tile] of flying) flying.set(tile, progress[tile.index]);
@@ -52,7 +51,7 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
     planner.frame(time, errors, isLoaded);
     const drawn = [...errors.keys()].filter(isLoaded);
     planner.fill(isLoaded, finerOrder(drawn, [0, 0, 0]), () => candidates.map((index) => tiles[index]));
-    log.push([planner.received, planner.requests]);
+    log.push(planner.received);
   }
   return log;
 });
@@ -169,14 +168,16 @@ def journey(seed: int) -> tuple[dict[str, Any], list[Any]]:
         planner.frame(Pose(time, EYE, np.array([1.0, 0, 0, 0])), cut, loaded)
         finer = finer_file_order(tree, ladder, held, seen & loaded, EYE)
         planner.fill(loaded, finer.tolist())
-        log.append([recorder.bytes, recorder.requests])
+        log.append(recorder.bytes)
     tiles = [
         {
             "index": row,
             "level": int(tree.level[row]),
             "bytes": int(sizes[row, 1]),
-            "sizes": sizes[row].tolist(),
-            "worth": worth[row].tolist(),
+            "files": [
+                {"bytes": int(size), "worth": float(value)}
+                for size, value in zip(sizes[row], worth[row], strict=True)
+            ],
             "center": tree.center[row].tolist(),
             "axes": tree.half_axes[row].tolist(),
         }
@@ -214,7 +215,7 @@ def test_the_page_decides_as_python_does(tmp_path: Path) -> None:
     actual = decisions_of_client(
         tmp_path, [vectors for vectors, _ in journeys], [vectors for vectors, _ in flights]
     )
-    purposes = {entry[1] for _, log in journeys for entry in log if isinstance(entry[1], str)}
+    purposes = {entry[1] for _, log in journeys for entry in log if isinstance(entry, list)}
     assert purposes == {"needed", "prefetched", "finer", "cancelled"}
     for log, (_, expected) in zip(actual["decisions"], journeys, strict=True):
         assert log == expected

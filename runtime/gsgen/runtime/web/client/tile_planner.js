@@ -1,20 +1,11 @@
-/**
- * The order in which tiles are requested: that of `gsgen.tiles.streaming.planner`, decision by decision.
- *
- * 1. The root alone, as long as it is missing.
- * 2. The tiles that the camera sees: by level, then by error; each at its coarsest file.
- * 3. While none of them is missing: tiles that it will see, as long as the expected waste is low.
- * 4. Then finer files of drawn tiles, by worth × area gained per byte.
- */
+/** The order in which tiles are requested: decision by decision that of `gsgen.tiles.streaming.planner`. */
 
 import { eyeOf, viewOf } from "./camera.js";
 import { linearPart, plus, product, rotation, transposed } from "./matrices.js";
 
-/** @typedef {{level: number, index: number, bytes: number}} Entry A tile; the bytes are of its coarsest file. */
-
 const PRIOR_TILES = 4; // prefetched tiles, half of them seen, that precision begins with
 
-/** Return tiles in the order of request. @param {Map<Entry, number>} errors Of each tile, in pixels. */
+/** Return tiles in the order of request. @param {Map<any, number>} errors Of each tile, in pixels. */
 export function requestOrder(errors) {
   // The difference of two infinite errors is no number: then the index decides.
   return [...errors.keys()].sort((a, b) => a.level - b.level || errors.get(b) - errors.get(a) || a.index - b.index);
@@ -22,13 +13,11 @@ export function requestOrder(errors) {
 
 /** Return drawn tiles that have a finer file, by worth × area gained per byte of it. */
 export function finerOrder(tiles, eye) {
-  const gain = ({ center, axes, worth, quality, sizes }) => {
-    const reach = Math.hypot(...axes.flat());
-    const share = Math.min(reach / Math.max(Math.hypot(...plus(center, -1, eye)), 1e-9), 1);
-    return (share ** 2 * (worth[0] - worth[quality])) / sizes[0];
+  const gain = ({ center, axes, files: [{ worth, bytes }], files, quality }) => {
+    const share = Math.min(Math.hypot(...axes.flat()) / Math.max(Math.hypot(...plus(center, -1, eye)), 1e-9), 1);
+    return (share ** 2 * (worth - files[quality].worth)) / bytes;
   };
-  const gains = new Map([...tiles].filter(({ quality }) => quality > 0).map((tile) => [tile, gain(tile)]));
-  return [...gains.keys()].sort((a, b) => gains.get(b) - gains.get(a) || a.index - b.index);
+  return tiles.filter(({ quality }) => quality > 0).sort((a, b) => gain(b) - gain(a) || a.index - b.index);
 }
 
 /** Predicts cameras: positions keep their velocity, turns fade. */
@@ -64,20 +53,16 @@ export class CameraPredictor {
 
 /** Decides what is requested, and what is cancelled. */
 export class RequestPlanner {
-  /**
-   * @param {any} rules The numbers of the order, from the plans.
-   * @param {{free: number, request: (tile: any, purpose: string) => void,
-   *     progress: (tile: any) => number, cancel: (tile: any) => number}} link
-   */
+  /** @param {{request: (tile: any) => void, progress: (tile: any) => number, cancel: (tile: any) => number}} link */
   constructor(rules, link) {
     this._rules = rules;
     this._link = link;
-    this._order = /** @type {Entry[]} */ ([]);
+    this._order = /** @type {any[]} */ ([]);
     this.pending = new Map(); // the tiles in flight, and why: needed, prefetched or finer
     this._early = new Map(); // prefetched tiles that were not seen yet, and when they came
     this._unseen = new Map(); // tiles that came and were not seen, and the bytes of their files
     this._used = this._late = 0;
-    this.received = this.wasted = this.requests = 0; // bytes, bytes, count
+    this.received = this.wasted = 0; // bytes
   }
 
   /** Take the tiles that a camera sees with their errors; cancel what delays them. */
@@ -85,7 +70,7 @@ export class RequestPlanner {
     this._order = requestOrder(seen);
     for (const tile of seen.keys()) if (isLoaded(tile)) this._unseen.delete(tile);
     for (const [tile, arrival] of this._early) {
-      const isSeen = seen.has(tile) && isLoaded(tile);
+      const isSeen = seen.has(tile) && Boolean(isLoaded(tile));
       if (!isSeen && time - arrival <= 2 * this._rules.horizonSeconds) continue;
       this._used += Number(isSeen);
       this._late += Number(!isSeen);
@@ -97,21 +82,19 @@ export class RequestPlanner {
     if (!this.missing(isLoaded).length) return;
     for (const [tile, purpose] of this.pending) {
       if (purpose === "needed" || this._link.progress(tile) >= this._rules.cancelFraction) continue;
-      const received = this._link.cancel(tile);
-      this.received += received;
-      this.wasted += received;
       this.pending.delete(tile);
+      const received = this._link.cancel(tile);
+      [this.received, this.wasted] = [this.received + received, this.wasted + received];
     }
   }
 
   /** Request while connections are free. @param {() => any[]} candidates Tiles that will be seen. */
   fill(isLoaded, finer, candidates) {
-    while (this._link.free > 0) {
+    while (this.pending.size < this._rules.requests) {
       const [tile, purpose] = this._next(isLoaded, finer, candidates);
       if (!tile) return;
       this.pending.set(tile, purpose);
-      this.requests += 1;
-      this._link.request(tile, purpose);
+      this._link.request(tile);
     }
   }
 

@@ -20,8 +20,6 @@ const REBUILD = "Pages read tilesets with boxes or spheres: gsgen tiles build";
 const MOST_ATTEMPTS = 4; // of a request that fails by a fault of the network or the server
 const FIRST_PAUSE = 500; // milliseconds until the second attempt; doubled after each
 const MOST_SPLATS = 1 << 18; // in GPU memory
-const ERROR_STEP = 1.5; // of the error while a cut does not fit into the slots
-const MOST_LEVELS = 32;
 const MOST_DEGREE = 3;
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
 // Readers turn glTF content as files (x, y, z) → (−x, −y, z); of a tile, its (x, −z, y) is meant.
@@ -62,13 +60,10 @@ class Tile {
     this.retryAt = 0; // seconds: it is not asked for before
     const { bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
     const isTold = files.length > 1 && [bytes, worth].every(({ length }) => length === files.length);
-    // Files, their bytes and worth at each quality, finest first; empty where there is one.
-    const told = (numbers) => (isTold ? numbers.slice(this.facts?.quality ?? 0) : []);
-    this.files = told(files);
-    this.sizes = told(bytes);
-    this.worth = told(worth);
-    this.bytes = this.sizes.at(-1) ?? [bytes].flat()[0] ?? 0; // of the file that comes first
-    this.needed = 1; // slots, as far as known
+    const told = files.map((uri, i) => ({ uri, bytes: bytes[i], worth: worth[i] }));
+    this.files = isTold ? told.slice(this.facts?.quality ?? 0) : []; // the finest first
+    this.bytes = this.files.at(-1)?.bytes ?? bytes[0] ?? 0; // of the file that comes first
+    this.needed = this.uris.length && 1; // slots, as far as known
   }
 
   /** Return whether no side of the view has the whole box behind it. */
@@ -101,16 +96,13 @@ function rootOf({ root, schema, metadata }, parent, address) {
 }
 
 /** Return the result of a task, which is tried again after faults that may pass. */
-async function persistently(task, signal) {
-  for (let attempt = 1; ; attempt++) {
-    try {
-      return await task();
-    } catch (error) {
-      if (!error.isTransient || attempt === MOST_ATTEMPTS) throw error;
-    }
+function persistently(task, signal, attempt = 1) {
+  return task().catch(async (error) => {
+    if (!error.isTransient || attempt === MOST_ATTEMPTS) throw error;
     await new Promise((resolve) => setTimeout(resolve, FIRST_PAUSE * 2 ** (attempt - 1)));
     signal.throwIfAborted();
-  }
+    return persistently(task, signal, attempt + 1);
+  });
 }
 
 /** A tileset in a page. */
@@ -144,7 +136,6 @@ export class TilesetModel {
       return { buffers: new SplatBuffers(device, plans, facts), transform: IDENTITY, live: 0 };
     });
     this._free = [...this.sets];
-    this._slotRows = slotRows;
     this._rules = plans.streaming;
     this._predictor = new CameraPredictor(plans.streaming);
     this._planner = new RequestPlanner(plans.streaming, this);
@@ -177,13 +168,13 @@ export class TilesetModel {
   async update(_, camera) {
     this._frame += 1;
     const time = performance.now() / 1000;
-    const cut = this._cutWithinSlots(camera);
+    const cut = this._cut(camera);
     for (const tile of cut.seen.keys()) tile.seen = this._frame;
     this.drawn = this._drawn(this._root, cut) ?? [];
     for (const { buffers } of this.sets) buffers.count = 0;
     for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
     this._predictor.observe(time, camera);
-    const isLoaded = (tile) => Boolean(tile.slots) || !tile.uris.length || tile.retryAt > time;
+    const isLoaded = (tile) => tile.slots || !tile.uris.length || tile.retryAt > time;
     this._planner.frame(time, cut.seen, isLoaded);
     const finer = finerOrder(this.drawn.filter((tile) => tile.retryAt <= time), eyeOf(camera));
     // What would not fit beside the tiles in flight is asked for later.
@@ -191,30 +182,23 @@ export class TilesetModel {
     return false;
   }
 
-  /** Return the tiles that a camera sees with their errors, and those whose error is too large to draw. */
-  _cut(camera, maxError, mostLevels = Infinity) {
+  /** Return the tiles that a camera sees with their errors, and those that are refined: the worst, as far as slots suffice. */
+  _cut(camera) {
     const [seen, refined] = [new Map(), new Set()];
-    const visit = (tile) => {
-      if (!tile.meets(camera)) return;
-      const pixels = tile.pixels(camera);
-      seen.set(tile, pixels);
-      if (pixels <= maxError || tile.level >= mostLevels || !tile.children.length) return;
-      refined.add(tile);
-      tile.children.forEach(visit);
-    };
-    visit(this._root);
+    const see = (tiles) => tiles.forEach((tile) => seen.set(tile, tile.pixels(camera)));
+    const met = (tiles) => tiles.filter((tile) => tile.meets(camera));
+    see(met([this._root]));
+    for (const open = new Set(seen.keys()); open.size; ) {
+      const worst = [...open].reduce((first, other) => (seen.get(other) > seen.get(first) ? other : first));
+      open.delete(worst);
+      const below = met(worst.children);
+      const fits = slotsOf([...seen.keys(), ...below]) <= this.sets.length;
+      if (seen.get(worst) <= this._options.maxError || !worst.children.length || !fits) continue;
+      refined.add(worst);
+      see(below);
+      below.forEach((tile) => open.add(tile));
+    }
     return { seen, refined };
-  }
-
-  /** Return a cut whose tiles fit into the slots: a coarser one, or one of fewer levels. */
-  _cutWithinSlots(camera) {
-    const fits = ({ seen }) => slotsOf([...seen.keys()].filter(({ uris }) => uris.length)) <= this.sets.length;
-    let error = this._options.maxError;
-    let cut = this._cut(camera, error);
-    const most = Math.max(...[...cut.seen.values()].filter(Number.isFinite));
-    while (!fits(cut) && error < most) cut = this._cut(camera, (error *= ERROR_STEP));
-    for (let level = MOST_LEVELS; !fits(cut) && level--; ) cut = this._cut(camera, error, level);
-    return cut;
   }
 
   /** Return the tiles to draw at and below a tile; null while one of them is not loaded. */
@@ -233,7 +217,7 @@ export class TilesetModel {
     const { horizonSeconds, horizonFractions, planSeconds } = this._rules;
     if (time - this._planned < planSeconds) return this._ahead;
     const views = horizonFractions.map((share) => this._predictor.predict(share * horizonSeconds));
-    const cuts = views.filter(Boolean).map((view) => this._cut({ ...camera, view }, this._options.maxError));
+    const cuts = views.filter(Boolean).map((view) => this._cut({ ...camera, view }));
     [this._planned, this._ahead] = [time, [...new Set(cuts.flatMap(({ seen }) => requestOrder(seen)))]];
     return this._ahead;
   }
@@ -243,12 +227,8 @@ export class TilesetModel {
     return this._flights.size;
   }
 
-  get free() {
-    return this._rules.requests - this._flights.size;
-  }
-
   progress(tile) {
-    return this._flights.get(tile).loaded / Math.max(tile.quality < 0 ? tile.bytes : tile.sizes[0], 1);
+    return this._flights.get(tile).loaded / (tile.quality < 0 ? tile.bytes : tile.files[0].bytes || 1);
   }
 
   cancel(tile) {
@@ -283,14 +263,14 @@ export class TilesetModel {
         if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
         return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
       };
-      const uris = tile.files.length ? [tile.files[quality]] : tile.uris;
+      const uris = tile.files.length ? [tile.files[quality].uri] : tile.uris;
       const loaded = (await Promise.all(uris.map((uri) => persistently(() => read(uri), signal)))).flat();
       if (signal.aborted) return;
       const roots = loaded.filter((part) => part instanceof Tile);
       tile.children.push(...roots);
-      if (roots.length) [tile.uris, tile.error] = [[], Infinity]; // other tiles take its place
+      if (roots.length) [tile.uris, tile.needed, tile.error] = [[], 0, Infinity]; // other tiles take its place
       this._place(tile, loaded.filter((part) => !(part instanceof Tile)), quality);
-      this._planner.arrive(tile, performance.now() / 1000, tile.sizes[quality] ?? flight.loaded);
+      this._planner.arrive(tile, performance.now() / 1000, tile.files[quality]?.bytes ?? flight.loaded);
     } catch (error) {
       if (signal.aborted) return;
       this._planner.pending.delete(tile);
@@ -303,7 +283,7 @@ export class TilesetModel {
 
   /** Copy splats into slots; if tiles that the camera needs hold them all, later. */
   _place(tile, splats, quality) {
-    const rows = this._slotRows;
+    const rows = this._rules.slotRows;
     const parts = splats.flatMap((set) => {
       return Array.from({ length: Math.ceil(set.count / rows) }, (_, i) => [set, i * rows]);
     });
