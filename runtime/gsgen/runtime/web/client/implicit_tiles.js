@@ -82,8 +82,8 @@ export function subtreeRoot(data, { tile, level: top, cell: corner }, schema, na
       return isSubtree(child - count) ? { ...own, subtree: subtreeAt(tile, level + 1, below) } : [];
     }).flat();
     const uris = templates.filter((_, i) => contents[i]?.(index));
-    const [bytes, worth] = ["bytes", "worth"].map((key) => rowOf(key, index));
-    const properties = { bytes, worth, files: files.map((uri) => filled(uri, level, cell)) };
+    const [[splats], bytes, worth] = ["splats", "bytes", "worth"].map((key) => rowOf(key, index));
+    const properties = { splats, bytes, worth, files: files.map((uri) => filled(uri, level, cell)) };
     return { ...own, metadata: { properties }, children, contents: uris.map((uri) => ({ uri: filled(uri, level, cell) })) };
   };
   return tileAt(0, top, corner);

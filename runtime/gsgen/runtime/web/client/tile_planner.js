@@ -53,12 +53,12 @@ export class CameraPredictor {
 
 /** Decides what is requested, and what is cancelled. */
 export class RequestPlanner {
-  /** @param {{request: (tile: any) => void, progress: (tile: any) => number, cancel: (tile: any) => number}} link */
-  constructor(rules, link) {
+  /** @param {(tile: any, flight: any) => void} request Begins to fetch a tile. */
+  constructor(rules, request) {
     this._rules = rules;
-    this._link = link;
+    this._request = request;
     this._order = /** @type {any[]} */ ([]);
-    this.pending = new Map(); // the tiles in flight, and why: needed, prefetched or finer
+    this.pending = new Map(); // the tiles in flight, why (needed, prefetched or finer), and how far
     this._early = new Map(); // prefetched tiles that were not seen yet, and when they came
     this._unseen = new Map(); // tiles that came and were not seen, and the bytes of their files
     this._used = this._late = 0;
@@ -76,15 +76,16 @@ export class RequestPlanner {
       this._late += Number(!isSeen);
       this._early.delete(tile);
     }
-    for (const [tile, purpose] of this.pending) {
-      if (purpose === "prefetched" && seen.has(tile)) this.pending.set(tile, "needed");
+    for (const [tile, flight] of this.pending) {
+      if (flight.purpose === "prefetched" && seen.has(tile)) flight.purpose = "needed";
     }
     if (!this.missing(isLoaded).length) return;
-    for (const [tile, purpose] of this.pending) {
-      if (purpose === "needed" || this._link.progress(tile) >= this._rules.cancelFraction) continue;
+    for (const [tile, { purpose, loaded, stop }] of this.pending) {
+      const { bytes } = purpose === "finer" ? tile.files[0] : tile;
+      if (purpose === "needed" || loaded >= this._rules.cancelFraction * bytes) continue;
       this.pending.delete(tile);
-      const received = this._link.cancel(tile);
-      [this.received, this.wasted] = [this.received + received, this.wasted + received];
+      stop.abort();
+      [this.received, this.wasted] = [this.received + loaded, this.wasted + loaded];
     }
   }
 
@@ -93,14 +94,15 @@ export class RequestPlanner {
     while (this.pending.size < this._rules.requests) {
       const [tile, purpose] = this._next(isLoaded, finer, candidates);
       if (!tile) return;
-      this.pending.set(tile, purpose);
-      this._link.request(tile);
+      const flight = { purpose, loaded: 0, stop: new AbortController() };
+      this.pending.set(tile, flight);
+      this._request(tile, flight);
     }
   }
 
   /** Take note of a tile that has come, with the bytes of its file. */
   arrive(tile, time, bytes) {
-    if (this.pending.get(tile) === "prefetched") this._early.set(tile, time);
+    if (this.pending.get(tile)?.purpose === "prefetched") this._early.set(tile, time);
     this.pending.delete(tile);
     this.received += bytes;
     this.wasted += this._unseen.get(tile) ?? 0; // dropped unseen, and asked for again
@@ -125,7 +127,7 @@ export class RequestPlanner {
   /** Return whether one more prefetch keeps the expected share of unused bytes low. */
   _affords(bytes) {
     const sum = (numbers) => numbers.reduce((total, number) => total + number, 0);
-    const asked = bytes + sum([...this.pending].map(([tile, purpose]) => (purpose === "prefetched" ? tile.bytes : 0)));
+    const asked = bytes + sum([...this.pending].map(([tile, { purpose }]) => (purpose === "prefetched" ? tile.bytes : 0)));
     const received = this.received + asked;
     const unseen = this.wasted + sum([...this._unseen.values()]) + asked;
     const precision = (this._used + PRIOR_TILES / 2) / (this._used + this._late + PRIOR_TILES);

@@ -58,12 +58,12 @@ class Tile {
     this.quality = -1; // of the file in its slots: 0 is the finest
     this.failures = 0;
     this.retryAt = 0; // seconds: it is not asked for before
-    const { bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
+    const { splats = 1, bytes = [], files = [], worth = [] } = json.metadata?.properties ?? {};
     const isTold = files.length > 1 && [bytes, worth].every(({ length }) => length === files.length);
     const told = files.map((uri, i) => ({ uri, bytes: bytes[i], worth: worth[i] }));
-    this.files = isTold ? told.slice(this.facts?.quality ?? 0) : []; // the finest first
+    this.files = isTold ? told.slice(this.facts.quality ?? 0) : []; // the finest first
     this.bytes = this.files.at(-1)?.bytes ?? bytes[0] ?? 0; // of the file that comes first
-    this.needed = this.uris.length && 1; // slots, as far as known
+    this.needed = this.uris.length && Math.ceil(splats / this.facts.slotRows); // slots, as far as known
   }
 
   /** Return whether no side of the view has the whole box behind it. */
@@ -91,8 +91,8 @@ class Tile {
 const slotsOf = (tiles) => tiles.reduce((sum, { needed }) => sum + needed, 0);
 
 /** Return the root tile of a tileset. */
-function rootOf({ root, schema, metadata }, parent, address) {
-  return new Tile({ ...root, schema, facts: metadata?.properties }, parent, address);
+function rootOf({ root, schema, metadata }, parent, address, slotRows = parent?.facts.slotRows) {
+  return new Tile({ ...root, schema, facts: { ...metadata?.properties, slotRows } }, parent, address);
 }
 
 /** Return the result of a task, which is tried again after faults that may pass. */
@@ -113,7 +113,7 @@ export class TilesetModel {
     const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
     await model.update({}, camera);
     while (model.loading && !model._held.size && !options.signal?.aborted) {
-      await Promise.race([...model._flights.values()].map(({ end }) => end));
+      await Promise.race([...model._planner.pending.values()].map(({ end }) => end));
       await model.update({}, camera);
     }
     if (options.signal?.aborted) model.destroy();
@@ -138,11 +138,13 @@ export class TilesetModel {
     this._free = [...this.sets];
     this._rules = plans.streaming;
     this._predictor = new CameraPredictor(plans.streaming);
-    this._planner = new RequestPlanner(plans.streaming, this);
+    this._planner = new RequestPlanner(plans.streaming, (tile, flight) => {
+      flight.end = this._load(tile, flight).finally(() => this._stop.signal.aborted || this._options.onChange());
+    });
     this._planned = -Infinity; // when tiles to come were last predicted
     this._ahead = /** @type {Tile[]} */ ([]);
     this._options = { ...options, maxError: options.maxError ?? maxError };
-    this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)));
+    this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)), slotRows);
     /** From the axes of the splats that it was built from, which scene files place, to its own. */
     this.frame = this._root.frame;
     const { center, axes } = this._root;
@@ -158,7 +160,6 @@ export class TilesetModel {
     this.buffers = { count: 0, isLinear: false };
     /** @type {Tile[]} */
     this.drawn = [];
-    this._flights = new Map(); // tiles that are being loaded
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
@@ -224,27 +225,7 @@ export class TilesetModel {
 
   /** How many tiles are being loaded. */
   get loading() {
-    return this._flights.size;
-  }
-
-  progress(tile) {
-    return this._flights.get(tile).loaded / (tile.quality < 0 ? tile.bytes : tile.files[0].bytes || 1);
-  }
-
-  cancel(tile) {
-    const { stop, loaded } = this._flights.get(tile);
-    stop.abort();
-    this._flights.delete(tile);
-    return loaded;
-  }
-
-  request(tile) {
-    const flight = { stop: new AbortController(), loaded: 0, end: Promise.resolve() };
-    this._flights.set(tile, flight);
-    flight.end = this._load(tile, flight).finally(() => {
-      if (this._flights.get(tile) === flight) this._flights.delete(tile);
-      if (!this._stop.signal.aborted) this._options.onChange();
-    });
+    return this._planner.pending.size;
   }
 
   async _load(tile, flight) {
@@ -309,7 +290,7 @@ export class TilesetModel {
   /** Return how many slots a tile may take beside those that the camera needs or that are on their way. */
   _room(tile = undefined) {
     const unseen = [...this._held].filter(({ seen }) => seen < this._frame);
-    const coming = [...this._flights.keys()].filter((other) => other !== tile && !other.slots);
+    const coming = [...this._planner.pending.keys()].filter((other) => other !== tile && !other.slots);
     return this._free.length + slotsOf(unseen) - slotsOf(coming);
   }
 
