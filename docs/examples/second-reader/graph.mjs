@@ -21,8 +21,10 @@ export class Graph {
     // I17: initialisers that are also listed as inputs are weights.
     this.inputs = new Map(graph.inputs.filter((value) => !this.weights.has(value.name))
       .map((value) => [value.name, declared(value)]));
-    this.declared = new Map([...graph.values, ...graph.inputs, ...graph.outputs]
-      .map((value) => [value.name, declared(value)]));
+    this.declarations = [...graph.values, ...graph.inputs, ...graph.outputs]
+      .map((value) => [value.name, declared(value)]);
+    this.declared = new Map(this.declarations);
+    this.conflicts = []; // operators whose inputs do not fit each other
     this.producer = new Map();
     for (const node of this.nodes) for (const name of node.outputs) this.producer.set(name, node);
     this.functions = new Set(model.functions.map((body) => `${body.domain}:${body.name}`));
@@ -52,6 +54,12 @@ export class Graph {
   output(name) {
     const value = this.outputs.find((entry) => entry.name === name);
     return value && declared(value);
+  }
+
+  /** The declared sizes of an output, open ones as operators compute them (I22.5). */
+  filledShape(name) {
+    const computed = this.computed.get(name)?.shape;
+    return this.output(name)?.shape?.map((size, i) => size ?? computed?.[i] ?? null);
   }
 
   shape(name) {
@@ -93,11 +101,12 @@ export class Graph {
     const [a, b] = [first?.shape, second?.shape];
     const dtype = first?.dtype;
     const axis = (rank, value = attribute(node, 'axis') ?? 0) => (value < 0 ? value + rank : value);
-    if (COMPARISONS.has(node.op)) {
-      return [{dtype: DTYPE.bool, shape: broadcast([a, node.inputs.length > 1 ? b : a])}];
-    }
-    if (ELEMENTWISE.has(node.op)) {
-      return [{dtype, shape: broadcast(node.inputs.filter(Boolean).map((name) => this.shape(name)))}];
+    if (COMPARISONS.has(node.op) || ELEMENTWISE.has(node.op)) {
+      const names = node.inputs.filter(Boolean);
+      const shapes = names.map((name) => this.shape(name));
+      const dtypes = new Set(names.map((name) => this.dtype(name)).filter(Boolean));
+      if (clash(shapes) || (dtypes.size > 1 && node.op !== 'Pow')) this.conflicts.push(node);
+      return [{dtype: COMPARISONS.has(node.op) ? DTYPE.bool : dtype, shape: broadcast(shapes)}];
     }
     switch (node.op) {
       case 'Where': return [{dtype: second?.dtype, shape: broadcast([a, b, third?.shape])}];
@@ -115,12 +124,21 @@ export class Graph {
         const shapes = node.inputs.map((name) => this.shape(name));
         if (!shapes.every(Boolean)) return [{dtype}];
         const at = axis(a.length);
+        const others = shapes.map((shape) => shape.map((n, i) => (i === at ? 1 : n)));
+        if (shapes.some((shape) => shape.length !== a.length) || at >= a.length
+          || others.some((shape) => shape.some((n, i) => n && others[0][i] && n !== others[0][i]))) {
+          this.conflicts.push(node);
+          return [{dtype}];
+        }
         const sizes = shapes.map((shape) => shape[at]);
         const size = sizes.includes(null) ? null : sizes.reduce((x, y) => x + y, 0);
         return [{dtype, shape: a.map((n, i) => (i === at ? size : n))}];
       }
       case 'MatMul': {
         if (!a?.length || !b?.length) return [{dtype}];
+        const [inner, other] = [a.at(-1), b.length > 1 ? b.at(-2) : b[0]];
+        if (inner !== null && other !== null && inner !== other) this.conflicts.push(node);
+        if (second.dtype !== dtype) this.conflicts.push(node);
         const batch = broadcast([a.slice(0, -2), b.slice(0, -2)]);
         return [{dtype, shape: batch && [...batch, ...(a.length > 1 ? [a.at(-2)] : []),
           ...(b.length > 1 ? [b.at(-1)] : [])]}];
@@ -226,6 +244,14 @@ export function reads(node) {
   const inner = node.attributes.flatMap((entry) => [entry.g, ...entry.graphs]).filter(Boolean);
   return [...node.inputs.filter(Boolean),
     ...inner.flatMap((graph) => [...graph.nodes.flatMap(reads), ...graph.outputs.map((o) => o.name)])];
+}
+
+/** Whether shapes cannot be broadcast to one. */
+function clash(shapes) {
+  if (!shapes.every(Boolean)) return false;
+  const rank = Math.max(0, ...shapes.map((shape) => shape.length));
+  return Array.from({length: rank}, (_, i) => new Set(shapes.map((shape) => shape[shape.length - 1 - i])
+    .filter((n) => n > 1 || n === 0))).some((sizes) => sizes.size > 1);
 }
 
 /** NumPy's broadcasting; undefined where a rank is unknown, null for a size that is. */

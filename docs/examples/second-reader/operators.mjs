@@ -36,6 +36,16 @@ export const REQUIRED_ATTRIBUTE = {Concat: 'axis', Cast: 'to', Einsum: 'equation
   RandomNormal: 'shape', RandomUniform: 'shape', GroupNormalization: 'num_groups', LRN: 'size',
   ConcatFromSequence: 'axis'};
 
+// The fewest inputs of operators with more than one, and operators with exactly one (I22.1).
+export const FEWEST = {...Object.fromEntries([...words(`Add Sub Mul Div Pow Mod And Or Xor Equal Greater Less
+  GreaterOrEqual LessOrEqual PRelu MatMul Gather GatherElements GatherND Reshape Expand Tile Compress
+  Unsqueeze TopK Conv ConvTranspose Gemm CastLike Pad CumSum LayerNormalization Loop`)].map((op) => [op, 2])),
+  Where: 3, Slice: 3, ScatterND: 3, ScatterElements: 3, Range: 3, GroupNormalization: 3,
+  InstanceNormalization: 3, BatchNormalization: 5, Constant: 0, RandomNormal: 0, RandomUniform: 0};
+export const UNARY = words(`Abs Acos Acosh Asin Asinh Atan Atanh Bernoulli Cast Ceil Cos Cosh Elu Erf Exp
+  Flatten Floor Gelu HardSigmoid HardSwish Identity If IsNaN LeakyRelu Log Neg NonZero Not
+  RandomNormalLike RandomUniformLike Reciprocal Relu Round Selu Shape Sigmoid Sign Sin Sinh Softmax
+  Softplus Softsign Sqrt Tan Tanh Transpose`);
 export const CONTROL_FLOW = words('If Loop Scan'); // I24
 export const RANDOM = words('RandomNormal RandomNormalLike RandomUniform RandomUniformLike Multinomial');
 export const VALUE_SHAPED = words('NonZero Compress Unique NonMaxSuppression'); // GG004

@@ -32,9 +32,13 @@ async function validate(file, {target = 'core', probes, runtime}) {
   const subject = {file, folder: path.dirname(file), size: bytes.length, bytes, target, model, read, opset,
     manifest: read.manifest, graph: new Graph(model), probes, runtime};
   const report = {findings: [], blocked: new Set()};
-  await STATIC.run(subject, report);
   const level = runtime && probes ? 'values' : 'static';
-  if (level === 'values') await valueRules.run(subject, report);
+  try {
+    await STATIC.run(subject, report);
+    if (level === 'values') await valueRules.run(subject, report);
+  } catch (error) { // V14: nothing is said of the model
+    return {verdict: 'internal-error', level, findings: [], error: error.stack};
+  }
   const invalid = report.findings.some((finding) => // V14
     finding.severity === 'error' && finding.certainty === 'confirmed');
   return {verdict: invalid ? 'invalid' : 'conforms', level, findings: report.findings};
@@ -53,7 +57,7 @@ for (const file of files) {
   const entries = file.endsWith('.json') ? JSON.parse(fs.readFileSync(file, 'utf8')).models
     : [{model: path.basename(file), target: options.target}];
   for (const {model, target, probes} of entries) {
-    const inputs = probes && JSON.parse(fs.readFileSync(path.join(folder, probes), 'utf8'));
+    const inputs = probes && JSON.parse(fs.readFileSync(path.resolve(folder, probes), 'utf8'));
     const result = await validate(path.join(folder, model), {target, probes: inputs, runtime});
     console.log(JSON.stringify({model, ...result}));
   }

@@ -3,14 +3,14 @@
 import {attribute, DTYPE, DTYPE_BYTES, DTYPE_NAME} from './onnx_file.mjs';
 import {reads} from './graph.mjs';
 import * as operators from './operators.mjs';
-import {outputBytes, shapeOf} from './static_manifest.mjs';
+import {declaredOutputs, outputBytes, shapeOf} from './static_manifest.mjs';
 import {ALL, Rules, TARGETS} from './rules.mjs';
 
 export const rules = new Rules('static');
 const rule = rules.add.bind(rules);
 const ANY = {kinds: null};
 
-// ---- the graph, whatever the manifest says
+// ---- the graph alone
 
 rule('GG001', 'error', ANY, (m) => { // I23.2, T2
   const {opset: [low, high], ir} = TARGETS[m.target];
@@ -25,9 +25,17 @@ rule('GG002', 'error', ANY, (m) => { // I23.1, T5
 const CHECKED = {kinds: null, needs: ['GG001', 'GG002']};
 rule('GG019', 'error', CHECKED, (m) => { // I22.1
   const known = new Set([...m.graph.inputs.keys(), ...m.graph.weights.keys()]);
+  const bare = [...m.model.graph.inputs, ...m.model.graph.outputs].find(({type}) => !type?.tensor?.shape);
+  if (bare) return `${bare.name} has no shape`;
+  const domains = new Set(m.model.opsets.map(({domain}) => domain ?? ''));
   for (const node of m.graph.nodes) {
     if (isOnnx(node)) {
       if (!operators.ONNX.has(node.op)) return `there is no operator ${node.op}`;
+      const {length} = node.inputs;
+      if (!domains.has(node.domain ?? '')) return `${node.op}: no operator set of the domain ${node.domain}`;
+      if (length < (operators.FEWEST[node.op] ?? 1) || (operators.UNARY.has(node.op) && length > 1)) {
+        return `${node.op} has ${length} inputs`;
+      }
       const needed = operators.REQUIRED_ATTRIBUTE[node.op];
       if (needed && attribute(node, needed) === undefined) return `${node.op} has no ${needed}`;
     }
@@ -77,9 +85,10 @@ rule('GS002', 'error', ANY, (m) => { // I26
   return undefined;
 });
 rule('GG011', 'error', FORMED, (m) => // I22.4
-  [...m.graph.computed.keys()].find((name) => m.graph.dtype(name) === DTYPE.float64));
+  [...m.graph.declarations, ...m.graph.computed].find(([, {dtype}]) => dtype === DTYPE.float64)?.[0]);
 rule('GG015', 'error', FORMED, (m) => { // I22.2
-  for (const [name, declared] of m.graph.declared) {
+  if (m.graph.conflicts.length) return `the inputs of ${m.graph.conflicts[0].op} do not fit`;
+  for (const [name, declared] of m.graph.declarations) {
     const computed = m.graph.computed.get(name) ?? {};
     if (computed.dtype && declared.dtype && computed.dtype !== declared.dtype) {
       return `${name} is ${DTYPE_NAME[computed.dtype]}`;
@@ -181,22 +190,21 @@ rule('GO005', 'error', NAMED, (m) => (named(m, 'appearance') ? undefined : 'no a
 rule('GO010', 'error', NAMED, (m) => (named(m, 'count') ? undefined : 'no count'));
 rule('GO003', 'error', {needs: ['GO001']}, (m) => { // L2.3
   const {shape} = named(m, 'gaussians');
-  return shape && shape.length !== 2 ? `gaussians are [${shape}]` : undefined;
+  return shape?.length === 2 ? undefined : `gaussians are [${shape}]`;
 });
 rule('GO002', 'error', {needs: ['GO001', 'GO003']}, (m) => { // L3
   const {shape} = named(m, 'gaussians');
-  return shape && shape[1] !== 10 ? `a row has ${shape[1]} numbers` : undefined;
+  return shape[1] !== null && shape[1] !== 10 ? `a row has ${shape[1]} numbers` : undefined;
 });
-rule('GO004', 'error', {needs: ['GO001', 'GO003']}, (m) => { // L2.1, L2.2
+rule('GO004', 'error', {needs: ['GO001', 'GO003']}, (m) => { // L2.1, L2.2; of unknown rank: GO003, GO006
   const open = ['gaussians', 'appearance'].filter((part) => named(m, part))
-    .find((part) => !named(m, part).shape?.every((size) => size > 0));
+    .find((part) => named(m, part).shape && !named(m, part).shape.every((size) => size > 0));
   return open && `${open} are [${named(m, open).shape}]`;
 });
 rule('GO006', 'error', {needs: ['GO005']}, (m) => { // L10.1
   const {shape} = named(m, 'appearance');
   const allowed = m.manifest.outputs.appearance.space === 'sh' ? [3, 12, 27, 48] : [3, 4];
-  if (!shape) return undefined; // GO004
-  return shape.length === 2 && (shape[1] === null || allowed.includes(shape[1])) ? undefined : `[${shape}]`;
+  return shape?.length === 2 && (shape[1] === null || allowed.includes(shape[1])) ? undefined : `[${shape}]`;
 });
 rule('GO007', 'error', {needs: ['GO004', 'GO006']}, (m) => { // L2.5
   const [a, b] = ['gaussians', 'appearance'].map((part) => named(m, part).shape[0]);
@@ -207,7 +215,8 @@ rule('GO008', 'error', {needs: ['GO001', 'GO005']}, (m) => // L1
 rule('GO009', 'warning', {needs: ['GO008']}, (m) => // L2.6
   (named(m, 'gaussians').dtype === named(m, 'appearance').dtype ? undefined : 'two dtypes'));
 rule('GO011', 'error', {needs: ['GO010']}, (m) => { // L19
-  const {dtype, shape} = named(m, 'count');
+  const {dtype} = named(m, 'count');
+  const shape = m.graph.filledShape(m.manifest.outputs.count.name);
   return dtype === DTYPE.int32 && shape?.join() === '1' ? undefined : `${DTYPE_NAME[dtype]} [${shape}]`;
 });
 rule('GO015', 'error', {needs: ['GO002', 'GO006', 'GO008']}, (m) => // L10.2
@@ -230,7 +239,7 @@ rule('GO018', 'error', {kinds: ['post-process'], needs: ['GM004', 'GI005']}, (m)
   const output = m.graph.output(name);
   if (output.dtype !== DTYPE[dtype]) return `${name} is ${DTYPE_NAME[output.dtype]}`;
   const image = m.manifest.inputs?.find((input) => input.role === 'image');
-  const [shape, size] = [output.shape, image && shapeOf(m, image)];
+  const [shape, size] = [m.graph.filledShape(name), image && shapeOf(m, image)];
   if (shape && (shape.length !== 4 || ![3, 4, null].includes(shape[1]))) return `${name} is [${shape}]`;
   const differs = shape && size && [2, 3].some((i) => shape[i] && size[i] && shape[i] !== scale * size[i]);
   return differ(differs, `${name} is [${shape}] for [${size}]`);
@@ -244,14 +253,16 @@ rule('GO019', 'error', {kinds: ['trajectory-predictor'], needs: ['GM004']}, (m) 
     [uncertainty.name]: [future.steps,
       uncertainty.semantics === 'covariance-upper' ? (size * (size + 1)) / 2 : size],
   };
-  const wrong = Object.keys(expected).find((name) => m.graph.output(name).shape?.join() !== expected[name].join());
+  const wrong = Object.keys(expected).find((name) => m.graph.filledShape(name)?.join() !== expected[name].join());
   if (wrong) return `${wrong} is [${m.graph.output(wrong).shape}], not [${expected[wrong]}]`;
   const history = m.manifest.inputs?.find((input) => input.role === 'camera_history');
-  return differ(history && shapeOf(m, history)[1] !== size, `the history has ${shapeOf(m, history ?? {})}`);
+  const past = history && shapeOf(m, history);
+  return differ(history && past?.[1] !== size, `the history is [${past}]`);
 });
 rule('GO017', 'warning', {kinds: ALL, needs: ['GM004', 'GO001', 'GO005', 'GO010', 'TV102']}, (m) => { // I17.4
-  const declared = [...Object.values(m.manifest.outputs), ...m.manifest.inputs ?? []].map((part) => part.name);
-  return m.graph.outputs.find(({name}) => !declared.includes(name))?.name;
+  const declared = [...declaredOutputs(m), ...m.manifest.inputs ?? []].map((part) => part.name);
+  const output = m.graph.outputs.find(({name}) => !declared.includes(name));
+  return output && `${output.name} is not declared`;
 });
 
 // ---- limits of targets (T6)

@@ -69,6 +69,9 @@ const first = (list, check) => {
   }
   return undefined;
 };
+/** The outputs of the manifest, without extension fields (M72). */
+export const declaredOutputs = (m) => Object.entries(m.manifest.outputs)
+  .filter(([part]) => !part.startsWith('x-')).map(([, output]) => output);
 const inputs = (m, check) => first(m.manifest.inputs ?? [], check);
 
 // ---- the document
@@ -100,7 +103,7 @@ rule('GM018', 'info', {kinds: ALL}, (m) => // M76
 rule('GM004', 'error', {kinds: ALL}, (m) => { // I16, M35.3
   const named = {
     inputs: (m.manifest.inputs ?? []).map((input) => input.name),
-    outputs: Object.values(m.manifest.outputs).map((output) => output.name),
+    outputs: declaredOutputs(m).map((output) => output.name),
   };
   const present = {inputs: m.graph.inputs, outputs: new Set(m.graph.outputs.map((value) => value.name))};
   return first(['inputs', 'outputs'], (side) => first(named[side], (name) => {
@@ -237,10 +240,11 @@ const CAMERA = ['view', 'projection', 'camera_position', 'viewport'];
 const rolesOf = (kind) => KINDS[kind]
   ?? Object.keys(SHAPES).filter((role) => !['timestep', 'conditioning', 'camera_history'].includes(role));
 
-/** The sizes of an input: those of the graph, or those of the manifest where the graph's are open (M19). */
+/** The sizes of an input: the graph's; in a post-process model the manifest may fill open ones (M19). */
 export function shapeOf(m, input) {
   const shape = m.graph.inputs.get(input.name)?.shape;
-  return shape ? shape.map((size, i) => size ?? input.shape?.[i] ?? null) : input.shape;
+  if (m.manifest.kind !== 'post-process') return shape;
+  return shape?.map((size, i) => size ?? input.shape?.[i] ?? null);
 }
 
 for (const [id, role, shape] of [['GI001', 'view', '4 4'], ['GI002', 'projection', '4 4'], ['GI003', 'time', '1']]) {

@@ -107,6 +107,10 @@ rule('GV024', 'error', {needs: RUN}, (m) => { // C29
   return undefined;
 });
 rule('GI009', 'error', {needs: RUN}, (m) => { // R25.1
+  // V12: a result that another probe gives, too, is judged as that one's.
+  const same = (run) => run !== m.zero && [...run.outputs].every(([name, {data}]) =>
+    data.every((n, i) => Object.is(n, m.zero.outputs.get(name).data[i])));
+  if (m.zero && m.runs.some(same)) return undefined;
   for (const [name, {data}] of m.zero?.outputs ?? []) {
     if (!data.every((n) => Number.isFinite(Number(n)))) return `${name} is not finite`;
   }
@@ -178,7 +182,7 @@ rule('GO016', 'error', {needs: ROWS}, (m) => { // L3, L6
   return quaternion && `a quaternion in column ${quaternion}`;
 });
 rule('GV003', 'error', {needs: FIELDS}, (m) => anyRow(m, live, (frame, i) => // L5
-  frame.row(i)[3] < -0.001 || frame.row(i)[3] > 1.001));
+  frame.finite(i) && !(frame.row(i)[3] >= -0.001 && frame.row(i)[3] <= 1.001)));
 rule('GV005', 'error', {needs: FIELDS}, (m) => anyRow(m, drawn, (frame, i) => // L6
   [0, 3, 5].some((k) => covariance(frame, i)[k] < 0)));
 rule('GV006', 'error', {needs: FIELDS}, (m) => anyRow(m, drawn, (frame, i) => // L7, L8.2
@@ -226,8 +230,9 @@ rule('GV065', 'warning', {needs: [...ROWS, 'GM009', 'GM019']}, (m) => { // M10.4
   return rows.length && bounds(m).diagonal > 100 * Math.hypot(...extents) ? 'the bounds are far too large' : undefined;
 });
 rule('GV004', 'warning', {needs: [...FIELDS, 'GV054']}, (m) => { // L20.3
-  const all = m.frames.reduce((sum, frame) => sum + frame.live, 0);
-  const seen = m.frames.reduce((sum, frame) => sum + live(frame).filter((i) => frame.row(i)[3] >= 1 / 255).length, 0);
+  const opacities = m.frames.flatMap((frame) => live(frame).filter((i) => frame.finite(i))
+    .map((i) => frame.row(i)[3]));
+  const [all, seen] = [opacities.length, opacities.filter((a) => a >= 1 / 255).length];
   return seen < 0.1 * all ? `${seen} of ${all} rows are visible` : undefined;
 });
 rule('GV018', 'error', {needs: [...FIELDS, 'GV032']}, (m) => anyRow(m, padding, (frame, i) => // L21.1
@@ -298,7 +303,7 @@ rule('GV026', 'error', {needs: CELLS}, (m) => anyCell(m, ({cell, isHalf}) => // 
 rule('GV027', 'error', {needs: CELLS}, (m) => anyCell(m, ({visibility}) => // W5
   visibility < -0.001 || visibility > 1.001));
 rule('GV028', 'error', {needs: CELLS}, (m) => anyCell(m, ({cell, visibility, isHalf}) => // W6
-  visibility > 0 && !semiDefinite(cell.subarray(4), isHalf)));
+  visibility > 0 && cell.every(Number.isFinite) && !semiDefinite(cell.subarray(4), isHalf)));
 rule('GV029', 'warning', {needs: [...CELLS, 'GO010', 'GO011']}, (m) => anyCell(m, ({frame, rows, visibility}) => // W7.1
   visibility === 0 && rows.some((i) => frame.row(i)[3] !== 0)));
 rule('GV030', 'error', {needs: [...CELLS, 'GO010', 'GO011']}, (m) => anyCell(m, ({rows, visibility}) => // W7.2
