@@ -6,7 +6,7 @@
  */
 
 import { eyeOf } from "./camera.js";
-import { dot, linearPart, plus, times } from "./matrices.js";
+import { dot, moved, plus } from "./matrices.js";
 import { numbersIn } from "./words.js";
 
 const PREFIX = "annotation";
@@ -96,7 +96,7 @@ export class Annotations {
   place(camera) {
     const { view, fx, fy, cx, cy, width, height, near } = camera;
     for (const { place, position, normal } of [...this._entries, ...this._written]) {
-      const [x, y, z] = plus(times(linearPart(view), position), 1, [view[3], view[7], view[11]]);
+      const [x, y, z] = moved(view, position);
       const looksAway = normal && dot(normal, plus(eyeOf(camera), -1, position)) < 0;
       place.hidden = !(z > near) || Boolean(looksAway);
       const share = [(cx + (fx * x) / z) / width, (cy + (fy * y) / z) / height];

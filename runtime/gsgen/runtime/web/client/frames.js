@@ -68,13 +68,11 @@ export async function framesOf(request, { provider = "webgpu", onProgress, signa
   return stillFrames(parts[0]);
 }
 
-/** Return the one frame of a splat file. @param {import("./splat_buffers.js").Splats} splats @returns {Frames} */
-function stillFrames({ rows, appearance, channels, space, count, antialias, colorSpace, transform }) {
-  const frame = { rows, appearance: float32Of(appearance), live: count };
+/** Return the one frame of a splat file, a part of `readParts`. @returns {Frames} */
+function stillFrames({ rows, appearance, count: live, channels, space, antialias, colorSpace, transform }) {
+  const frame = { rows, appearance, live };
   return {
-    capacity: rows.length / 10, channels, space, transform,
-    antialias: antialias ?? "classic",
-    colorSpace: colorSpace ?? "srgb",
+    capacity: rows.length / 10, channels, space, transform, antialias, colorSpace,
     inputs: [], time: null, up: [0, -1, 0], followsCamera: false, manifest: null, findings: [],
     run: async () => frame,
     destroy() {},
@@ -134,21 +132,8 @@ export async function generatorFrames({ bytes, inspected }, name, provider) {
   };
 }
 
-/** @type {Float32Array | null} The numbers of all float16 bits. */
-let float16Numbers = null;
-
 /** Return numbers as float32. @param {any} numbers Float32, or float16 as numbers or as their bits. */
 function float32Of(numbers) {
   if (numbers instanceof Float32Array) return numbers;
-  const table = (float16Numbers ??= Float32Array.from({ length: 65536 }, (_, bits) => float16Number(bits)));
-  const bits = new Uint16Array(numbers.buffer, numbers.byteOffset, numbers.length);
-  return Float32Array.from(bits, (each) => table[each]);
-}
-
-/** Return the number of float16 bits: a sign, an exponent of 5 bits, a fraction of 10. */
-function float16Number(bits) {
-  const [sign, exponent, fraction] = [bits & 0x8000 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
-  if (exponent === 0) return sign * fraction * 2 ** -24;
-  if (exponent === 31) return fraction ? NaN : sign * Infinity;
-  return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
+  return new Float32Array(new Float16Array(numbers.buffer, numbers.byteOffset, numbers.length));
 }

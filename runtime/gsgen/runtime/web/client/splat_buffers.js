@@ -3,20 +3,7 @@
 import { GsgenError } from "./errors.js";
 import { storageBuffer } from "./gpu_buffers.js";
 
-/**
- * Gaussians in the contract's packed rows.
- * @typedef {object} Splats
- * @property {Float32Array} rows x y z opacity xx xy xz yy yz zz, ten numbers each.
- * @property {Float32Array | Uint16Array} appearance SH or RGB; float16 as the bits of each number.
- * @property {number} channels Numbers of appearance per Gaussian.
- * @property {"sh" | "rgb"} space
- * @property {number} count Number of live rows, which are the first.
- * @property {"classic" | "mip"} [antialias]
- * @property {"srgb" | "linear"} [colorSpace]
- * @property {readonly number[]} transform From the axes of the rows to those of a camera.
- */
-
-const ROW_BYTES = 40;
+const ROW_BYTES = 40; // x y z opacity xx xy xz yy yz zz
 
 /** Return the SH degree of an appearance; null for RGB. */
 export function degreeOf(channels, space) {
