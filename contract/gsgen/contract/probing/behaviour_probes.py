@@ -1,13 +1,17 @@
 """Test inputs of behaviour rules: range ends, flipped axes, loops, frames, order of runs."""
 
 __all__ = [
+    "HISTORIES",
     "JOINTS",
     "LOOKING_AWAY_LABEL",
+    "NEGATED_LABEL",
     "PATH_OFFSET",
     "REPEATED_LABEL",
     "SINGLE_JOINT_ANGLE",
     "STRAIGHT_PATH_LABEL",
     "TILTED_LABEL",
+    "TURN_AXIS",
+    "TURN_STEP",
     "ZERO_LABEL",
     "joint_of_label",
     "trial_probes",
@@ -20,6 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
@@ -30,9 +35,15 @@ REPEATED_LABEL = "once more"
 
 # Displacement of a camera path, in world units.
 PATH_OFFSET = (3.0, -2.0, 5.0)
-# Suffix of the label of a path of constant velocity, and the least length of that path.
+# Name of the group of turning paths; the axis and the angle, in radians, of each step of theirs.
+HISTORIES, TURN_AXIS, TURN_STEP = "histories", (0.0, 1.0, 0.0), 0.1
+# Suffix of the label of a path whose quaternions have the other sign.
+NEGATED_LABEL = "with quaternions negated"
+# Part of the labels of paths of constant velocity, the least length of such a path, and the
+# directions of three of them, which are orthogonal to each other.
 STRAIGHT_PATH_LABEL = "on a straight path"
 _MIN_PATH_EXTENT = 0.1
+_PATH_DIRECTIONS = np.array([[2.0, 1.0, -2.0], [1.0, 2.0, 2.0], [-2.0, 2.0, -1.0]]) / 3
 
 # Camera displacement, as a fraction of the distance from the origin.
 _CAMERA_STEP = 0.3
@@ -122,18 +133,18 @@ def _path_probes(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
         yield _changed_probe(
             base, "at rest", **{entry.name: np.repeat(camera_history[-1:], len(camera_history), 0)}
         )
-        yield _changed_probe(
-            base, STRAIGHT_PATH_LABEL, **{entry.name: _straight_path(camera_history)}
-        )
+        for number, direction in enumerate(_PATH_DIRECTIONS):
+            path = _straight_path(camera_history, direction)
+            yield _changed_probe(base, f"{STRAIGHT_PATH_LABEL} {number}", **{entry.name: path})
         if quaternions:
             negated_history[:, 3:] *= -1
-            yield _changed_probe(base, "with quaternions negated", **{entry.name: negated_history})
+            yield _changed_probe(base, NEGATED_LABEL, **{entry.name: negated_history})
 
 
-def _straight_path(camera_history: Array) -> Array:
+def _straight_path(camera_history: Array, direction: Float[np.ndarray, " 3"]) -> Array:
     """Return a path of constant velocity without a turn that ends at the newest state of another."""
     extent = max(float(np.ptp(camera_history[:, :3], axis=0).max(initial=0)), _MIN_PATH_EXTENT)
-    step = np.array([2.0, 1.0, -2.0]) / 3 * extent / max(len(camera_history) - 1, 1)
+    step = direction * extent / max(len(camera_history) - 1, 1)
     path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
     path[:, :3] += (np.arange(len(path))[:, None] - (len(path) - 1)) * step
     return path

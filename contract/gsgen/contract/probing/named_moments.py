@@ -4,7 +4,14 @@ A declared default is what every viewer shows first, t(k) is when a frame begins
 from above, and pictures have black pixels. Rules of single runs hold at each of these moments.
 """
 
-__all__ = ["FRAMES", "NamedMoment", "is_frame_rounded_down", "moments_of"]
+__all__ = [
+    "FRAMES",
+    "OPEN_SIZES",
+    "PICTURES",
+    "NamedMoment",
+    "is_frame_rounded_down",
+    "moments_of",
+]
 
 import math
 from collections.abc import Iterator
@@ -12,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsgen.contract.probing.behaviour_probes import HISTORIES, TURN_AXIS, TURN_STEP
 from gsgen.contract.probing.picture_probes import synthetic_pictures, test_patterns
 from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array
 from gsgen.contract.probing.survey_probes import corner_inputs, ranged_inputs_of, survey_probes
@@ -26,8 +34,8 @@ from gsgen.contract.spec.manifest import (
     TrajectoryManifest,
 )
 
-# Name of the group of declared frames, one moment for each.
-FRAMES = "frames"
+# Names of groups: a moment for each declared frame, test pictures, and sizes of pictures.
+FRAMES, PICTURES, OPEN_SIZES = "frames", "pictures", "open sizes"
 # Pictures wide and tall, as screens and telephones have them.
 _VIEWPORTS = {"landscape": (1920.0, 1080.0), "portrait": (1080.0, 1920.0)}
 _FIELD_OF_VIEW = math.radians(60.0)
@@ -66,15 +74,15 @@ def moments_of(
     if isinstance(manifest, GeneratorManifest):
         yield from (NamedMoment("survey", probe) for probe in survey_probes(manifest, first, limit))
         yield from (NamedMoment("screens", probe) for probe in _screen_moments(manifest, base))
-        yield from (NamedMoment("pictures", probe) for probe in _picture_moments(manifest, base))
+        yield from (NamedMoment(PICTURES, probe) for probe in _picture_moments(manifest, base))
     if isinstance(manifest, PostProcessManifest):
         yield from (NamedMoment("corners", probe) for probe in _corner_moments(manifest, base))
-        yield from (NamedMoment("pictures", probe) for probe in _picture_moments(manifest, base))
+        yield from (NamedMoment(PICTURES, probe) for probe in _picture_moments(manifest, base))
         yield from (
-            NamedMoment("open sizes", probe) for probe in _size_moments(manifest, base, open_axes)
+            NamedMoment(OPEN_SIZES, probe) for probe in _size_moments(manifest, base, open_axes)
         )
     if isinstance(manifest, TrajectoryManifest):
-        yield from (NamedMoment("histories", probe) for probe in _history_moments(manifest, base))
+        yield from (NamedMoment(HISTORIES, probe) for probe in _history_moments(manifest, base))
 
 
 def _moment(label: str, base: Probe, inputs: dict[str, Array], *, survey: bool = True) -> Probe:
@@ -215,12 +223,10 @@ def _history_moments(manifest: TrajectoryManifest, base: Probe) -> Iterator[Prob
             STATE_SIZES["position+quaternion-wxyz"],
         ):
             continue
-        # A turn about y by 0.1 radians a step, which is half a turn at the end, or just before it.
+        # A turn about y, which is half a turn at the end, or just before it.
         for words, steps_beyond in (("at half a turn", 0.0), ("beyond half a turn", 1.0)):
             steps = np.arange(len(history)) - (len(history) - 1) + steps_beyond
-            half_angle = (np.pi + 0.1 * steps) / 2
+            half_angle = (np.pi + TURN_STEP * steps)[:, None] / 2
             path = history.copy()
-            path[:, 3:] = np.stack(
-                [np.cos(half_angle), 0 * steps, np.sin(half_angle), 0 * steps], axis=1
-            )
+            path[:, 3:] = np.hstack([np.cos(half_angle), np.sin(half_angle) * TURN_AXIS])
             yield _moment(f"a path that turns {words}", base, {entry.name: path}, survey=False)

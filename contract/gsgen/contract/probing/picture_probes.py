@@ -4,13 +4,22 @@ Networks that were trained on photographs amplify noise. These pictures have the
 photographs (amplitude falls with frequency), and are computed by a formula.
 """
 
-__all__ = ["intrinsics_of_pictures", "synthetic_pictures", "test_patterns", "views_of_pictures"]
+__all__ = [
+    "CHANNEL_GRADIENTS",
+    "intrinsics_of_pictures",
+    "synthetic_pictures",
+    "test_patterns",
+    "views_of_pictures",
+]
 
 from collections.abc import Callable
 
 import numpy as np
 
 from gsgen.contract._array_types import Float
+
+# Name of the picture whose channels differ, so that a turned or an exchanged one is another picture.
+CHANNEL_GRADIENTS = "a gradient in each channel"
 
 # Waves of a picture: each octave has twice the frequency of the one before, and half its amplitude.
 _OCTAVES = 6
@@ -57,8 +66,20 @@ def test_patterns(shape: tuple[int, ...]) -> dict[str, Float[np.ndarray, "v c h 
         "a white picture": np.ones((height, width)),
         "a chequerboard": ((x // 4 + y // 4) % 2).astype(np.float64),
         "a gradient": (x + y) / max(width + height - 2, 1),
+        CHANNEL_GRADIENTS: _channel_gradients(shape[1], height, width),
     }
     return {name: np.broadcast_to(pattern, shape).copy() for name, pattern in patterns.items()}
+
+
+def _channel_gradients(channels: int, height: int, width: int) -> Float[np.ndarray, "c h w"]:
+    """Return red that grows to the right, green that grows downwards, and a diagonal wave in blue.
+
+    A fourth channel is 1, as opaque alpha is.
+    """
+    y, x = np.meshgrid(np.linspace(0, 1, height), np.linspace(0, 1, width), indexing="ij")
+    wave = 0.5 + 0.5 * np.cos(2 * np.pi * (x + y))
+    gradients = (x, y, wave, np.ones_like(x))
+    return np.stack([gradients[channel % len(gradients)] for channel in range(channels)])
 
 
 def views_of_pictures(

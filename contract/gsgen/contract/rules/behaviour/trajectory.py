@@ -1,12 +1,22 @@
 """Validation rules of trajectory predictors: valid states, and the symmetries of motion."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import PATH_OFFSET, STRAIGHT_PATH_LABEL
+from gsgen.contract._array_types import Float
+from gsgen.contract.probing.behaviour_probes import (
+    HISTORIES,
+    NEGATED_LABEL,
+    PATH_OFFSET,
+    STRAIGHT_PATH_LABEL,
+    TURN_AXIS,
+    TURN_STEP,
+)
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
+from gsgen.contract.spec.geometry import quaternion_product
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -19,9 +29,16 @@ _ROTATION = slice(3, None)
 _UNIT_QUATERNION_TOLERANCE = 1e-3
 # A dot product of quaternions, or a length beyond π, may be off by this much.
 _SIGN_SLACK = 1e-3
-# Predictions may lie this many steps of a straight path behind the state before: −2.9 steps for a
-# history read the other way round, 1 for one that goes on, 0 for one that stops.
-_MAX_BACKWARD_STEPS = 0.2
+# The statistic is the mean motion from state to state, along three straight paths, in steps of the
+# path. It is 1 where the motion goes on, 0.5 where it slows down, 0 where it stops, −0.2 to −2.9
+# for a history that is read or written the other way round. The same holds for a camera that turns
+# at constant speed.
+_MAX_BACKWARD_STEPS = 0.1
+# Off the path by more than this many steps, and by more than this multiple of the motion along
+# it: axes that are exchanged or negated give 0.9 and 2 or more, right models at most 0.3 steps.
+_MAX_SIDE_STEPS, _MAX_SIDE_RATIO = 0.5, 1.0
+# More than so many steps at once: the speed is in another unit than steps.
+_MAX_FORWARD_STEPS = 3.0
 # The largest drift of a predicted state, relative to the size of the coordinates.
 _MAX_REST_POSE_DRIFT = 2e-3
 
@@ -182,48 +199,107 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
         Multiply the history by the sign of its last w, or predict from relative rotations.
     """
     runs = behaviour.trial_runs("paths")
-    if len(runs) < 5:
+    if len(runs) < 2 or not runs[-1].probe.label.endswith(NEGATED_LABEL):
         return
-    expected, actual = (_future_states(behaviour, runs[index]) for index in (0, 4))
+    expected, actual = (_future_states(behaviour, runs[index]) for index in (0, -1))
     if expected is not None and actual is not None:
         yield from _compare(behaviour, actual, expected, "a history with quaternions negated")
 
 
 @rule("GB062", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
 def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
-    """On a straight path the predicted camera does not move backwards, nor do predictions in order.
+    """Where the camera moves or turns at constant speed, predictions do not turn back or aside.
 
     Why:
         The history has its oldest state first, and predictions the nearest one. A model that reads
-        or writes them the other way round fetches the scene behind the camera.
+        or writes them the other way round, or mixes up axes, fetches the scene behind the camera.
 
     Hint:
         Take the last row of the history as the newest state, and return the nearest prediction
-        first; reverse the rows with `flip(0)` before or after the network.
+        first; reverse the rows with `flip(0)` before or after the network. Add the newest state
+        minus the one before it, per step.
     """
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
+    paths = [run for run in behaviour.trial_runs("paths") if STRAIGHT_PATH_LABEL in run.probe.label]
+    kinds = {
+        "straight paths": [_straight_motions(behaviour, run) for run in paths],
+        "turns": [_turning_motions(behaviour, run) for run in behaviour.trial_runs(HISTORIES)],
+    }
+    for words, motions in kinds.items():
+        known_motions = [motion for motion in motions if motion is not None]
+        fault = _fault_of_motion(np.mean(known_motions, axis=0)) if known_motions else ""
+        if fault:
+            expected = "steps along the path, as those of the history"
+            actual = f"on {words}, {fault}"
+            yield Violation.at(f"output {manifest.outputs.future.name}", actual, expected)
+            return
+
+
+def _fault_of_motion(motions: Float[np.ndarray, "k 2"]) -> str:
+    """Return what is wrong with predicted motions on a steady path; empty if nothing is.
+
+    Args:
+        motions: Steps along the path and off it, from the newest state to the first prediction,
+            and from each prediction to the next.
+    """
+    for number, (forward, sideways) in enumerate(motions, start=1):
+        start = "the state before" if number > 1 else "the newest of the history"
+        if forward < -_MAX_BACKWARD_STEPS:
+            return f"predicted state {number} lies {-forward:.2g} steps behind {start}"
+        if sideways > max(_MAX_SIDE_STEPS, _MAX_SIDE_RATIO * forward):
+            return f"predicted state {number} lies {sideways:.2g} steps aside of {start}"
+        if forward > _MAX_FORWARD_STEPS:
+            return f"predicted state {number} lies {forward:.3g} steps ahead of {start}"
+    return ""
+
+
+def _steps_along(
+    motions: Float[np.ndarray, "k 3"], step: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "k 2"]:
+    """Return the parts of motions along a step and across it, in lengths of the step."""
+    length = float(np.linalg.norm(step))
+    along = motions @ step / length**2
+    across = np.linalg.norm(motions - along[:, None] * step, axis=1) / length
+    return np.stack([along, across], axis=1)
+
+
+def _history(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "t s"]:
+    manifest = behaviour.subject.manifest
+    assert manifest is not None
     name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
-    for run in behaviour.trial_runs("paths"):
-        future = _future_states(behaviour, run)
-        if future is None or not run.probe.label.endswith(STRAIGHT_PATH_LABEL):
-            continue
-        history = run.probe.inputs[name].astype(np.float64)
-        if len(history) < 2:
-            return  # one state has no velocity
-        step = history[-1, _POSITION_COLUMNS] - history[-2, _POSITION_COLUMNS]
-        starts = {"first": history[-1], "last": future[0]}
-        for words, start in starts.items():
-            end = future[0] if words == "first" else future[-1]
-            motion = (end - start)[_POSITION_COLUMNS] @ step / (step @ step)
-            if motion < -_MAX_BACKWARD_STEPS:
-                actual = (
-                    f"the {words} predicted state lies {-motion:.2g} steps of the path behind "
-                    f"{'the newest of the history' if words == 'first' else 'the first one'}"
-                )
-                expected = f"no more than {_MAX_BACKWARD_STEPS} steps backwards"
-                yield Violation.at(f"output {manifest.outputs.future.name}", actual, expected)
-                return
+    return run.probe.inputs[name].astype(np.float64)
+
+
+def _straight_motions(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "k 2"] | None:
+    """Return how predicted cameras move on a straight path, in its steps; None without a speed."""
+    future, history = _future_states(behaviour, run), _history(behaviour, run)
+    if future is None or len(history) < 2:
+        return None
+    states = np.vstack([history[-1:], future])[:, _POSITION_COLUMNS]
+    return _steps_along(
+        np.diff(states, axis=0), np.diff(history[-2:, _POSITION_COLUMNS], axis=0)[0]
+    )
+
+
+def _turning_motions(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "k 2"] | None:
+    """Return how predicted cameras turn after a steady turn, in its steps; None without a speed."""
+    future, history = _future_states(behaviour, run), _history(behaviour, run)
+    if future is None or len(history) < 2:
+        return None
+    states = np.vstack([history[-1:], future])[:, _ROTATION]
+    turns = [
+        _rotation_vector(quaternion_product(later, earlier * [1, -1, -1, -1]))
+        for earlier, later in pairwise(states)
+    ]
+    return _steps_along(np.stack(turns), TURN_STEP * np.asarray(TURN_AXIS))
+
+
+def _rotation_vector(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"]:
+    """Return axis times angle, in radians, of a quaternion (w, x, y, z) of either sign."""
+    w, vector = np.abs(quaternion[0]), quaternion[1:] * (1 if quaternion[0] >= 0 else -1)
+    sine = float(np.linalg.norm(vector))
+    return np.asarray(2 * np.arctan2(sine, w) / max(sine, 1e-12) * vector)
 
 
 @rule(
