@@ -443,6 +443,7 @@ def test_the_job_is_plain_data(folder):
         "probes": [[["x", 0]]],
         "extra": [False],
         "survey": [False],
+        "pictured": [False],
         "placements": [None],
         "optimise": [True],
         "memory": 5,

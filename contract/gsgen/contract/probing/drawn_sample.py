@@ -15,6 +15,7 @@ __all__ = [
     "displayed_colors",
     "draw_sample",
     "fit_local_rotations",
+    "spatial_groups",
 ]
 
 from dataclasses import dataclass
@@ -200,6 +201,20 @@ def _nearest_rows(
     nearest_indices = np.argpartition(square, count - 1, axis=1)[:, :count]
     order = np.argsort(np.take_along_axis(square, nearest_indices, 1), axis=1, kind="stable")
     return np.asarray(np.take_along_axis(nearest_indices, order, 1))
+
+
+def spatial_groups(position: Float[np.ndarray, "n 3"], size: int) -> list[Int[np.ndarray, " g"]]:
+    """Return groups of close points, of ``size`` to twice as many: halves along the longest side."""
+    groups, pending = [], [np.arange(len(position))]
+    while pending:
+        members = pending.pop()
+        if len(members) < 2 * size:
+            groups.append(members)
+            continue
+        axis = int(np.ptp(position[members], axis=0).argmax())
+        order = members[np.argsort(position[members, axis], kind="stable")]
+        pending += [order[len(order) // 2 :], order[: len(order) // 2]]
+    return groups
 
 
 # A neighbourhood moves rigidly if this fraction of its size remains after the fit, or less.

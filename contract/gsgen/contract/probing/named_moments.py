@@ -4,17 +4,11 @@ A declared default is what every viewer shows first, t(k) is when a frame begins
 from above, and pictures have black pixels. Rules of single runs hold at each of these moments.
 """
 
-__all__ = [
-    "FRAMES",
-    "OPEN_SIZES",
-    "PICTURES",
-    "NamedMoment",
-    "is_frame_rounded_down",
-    "moments_of",
-]
+__all__ = ["FRAMES", "OPEN_SIZES", "PICTURES", "NamedMoment", "is_frame_rounded_down", "moments_of"]
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -161,7 +155,8 @@ def _screen_moments(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]
             if entry.role in values
         }
         if inputs:
-            yield _moment(f"in {words}, {width:g} × {height:g}", base, inputs)
+            moment = _moment(f"in {words}, {width:g} × {height:g}", base, inputs)
+            yield replace(moment, pictured=True)
 
 
 def _picture_moments(

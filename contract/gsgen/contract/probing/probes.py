@@ -74,6 +74,7 @@ class Probe:
             failure is not a failure of the model.
         optimise: Whether ONNX Runtime may rewrite the graph.
         survey: Whether only the digest and the extremes of the outputs are kept, and no rows.
+        pictured: Whether the drawn rows of a survey probe are kept for pictures.
         placement: Where the sandbox moves the camera, if that depends on an earlier run.
     """
 
@@ -83,6 +84,7 @@ class Probe:
     extra: bool = False
     optimise: bool = True
     survey: bool = False
+    pictured: bool = False
     placement: CameraPlacement | None = None
 
 

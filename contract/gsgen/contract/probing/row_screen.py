@@ -5,17 +5,18 @@ finds them faulty. It lets no fault pass that the rules GV003, GV005, GV006, GV0
 those of cells report, up to a sample of 16,384 suspected covariances of a run.
 """
 
-__all__ = ["live_count", "look_faulty"]
+__all__ = ["drawn_rows", "live_count", "look_faulty", "row_keys"]
 
 import numpy as np
 
-from gsgen.contract._array_types import Bool, Float
+from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.spec.geometry import PSD_FLOOR, PSD_SLACK, clearly_positive, smallest_eigenvalue
 from gsgen.contract.spec.layout import (
     COVARIANCE,
     CULL_OPACITY,
     OPACITY,
     OPACITY_SLACK,
+    POSITION,
     ROW_LENGTH,
     VARIANCES,
     VISIBILITY,
@@ -25,6 +26,13 @@ from gsgen.contract.spec.units import FLOAT16_MAX
 # Rows screened at a time: their columns stay in the second-level cache.
 _BLOCK_ROWS = 16384
 _MAX_SUSPECTS = 16384
+# About so many rows are kept for pictures.
+_PICTURE_ROWS = 16384
+_KEY_COLUMNS = 10
+# Odd factors of a hash: powers of 2⁶⁴ over the golden ratio.
+_KEY_FACTORS = np.array(
+    [pow(0x9E3779B97F4A7C15, k + 1, 2**64) for k in range(_KEY_COLUMNS)], np.uint64
+)
 
 
 def look_faulty(
@@ -57,6 +65,29 @@ def live_count(rows: np.ndarray, count: np.ndarray | None) -> int:
     """Return the row count of a run as the model gives it; all rows if it gives no whole number."""
     is_whole = count is not None and count.size and count.dtype.kind in "iu"
     return int(count.reshape(-1)[0]) if count is not None and is_whole else len(rows)
+
+
+def row_keys(rows: Float[np.ndarray, "n k"]) -> UInt[np.ndarray, " n"]:
+    """Return a hash, uint64, of the bits of each row's first ten numbers as float32."""
+    columns = np.ascontiguousarray(rows[:, :_KEY_COLUMNS], np.float32).view(np.uint32)
+    keys = (columns * _KEY_FACTORS[: columns.shape[1]]).sum(axis=1, dtype=np.uint64)
+    return np.asarray(keys ^ keys >> np.uint64(32))
+
+
+def drawn_rows(
+    rows: np.ndarray | None, count: np.ndarray | None
+) -> Float[np.ndarray, "n 10"] | None:
+    """Return the visible rows of a run as float32; None without packed rows.
+
+    Of more than 32,767 rows, a share is chosen by their positions, the same in each run.
+    """
+    if rows is None or rows.ndim != 2 or rows.shape[1] != ROW_LENGTH or rows.dtype.kind != "f":
+        return None
+    live = rows[: max(0, live_count(rows, count))]
+    drawn = live[live[:, OPACITY] >= CULL_OPACITY].astype(np.float32)
+    drawn = drawn[np.isfinite(drawn).all(axis=1)]
+    step = max(1, len(rows) // _PICTURE_ROWS)
+    return drawn if step == 1 else drawn[row_keys(drawn[:, POSITION]) % np.uint64(step) == 0]
 
 
 def _do_rows_look_faulty(rows: Float[np.ndarray, "n 10"], min_opacity: float) -> bool:

@@ -69,6 +69,7 @@ class Sample:
         thin: Only every so many rows were kept; at a named moment all of a faulty run, or none.
         not_finite: Outputs with a value that is NaN or infinite, where thin.
         survey: The row count at a named moment; else None.
+        drawn: The drawn rows of a run for pictures, a sample of many; else None.
     """
 
     index: int
@@ -77,6 +78,7 @@ class Sample:
     thin: bool = False
     not_finite: tuple[str, ...] = ()
     survey: RowCount | None = None
+    drawn: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,6 +223,7 @@ def _write_job(
         "probes": [[(n, numbers[id(a)]) for n, a in probe.inputs.items()] for probe in probes],
         "extra": [probe.extra for probe in probes],
         "survey": [probe.survey for probe in probes],
+        "pictured": [probe.pictured for probe in probes],
         "placements": [probe.placement and asdict(probe.placement) for probe in probes],
         "optimise": [probe.optimise for probe in probes],
         "memory": limits.memory,
@@ -324,6 +327,7 @@ def _collect_results(
             thin=event["thin"],
             not_finite=tuple(event["not_finite"]),
             survey=RowCount(**event["survey"]) if event.get("survey") else None,
+            drawn=_map_array(folder / event["drawn"]) if event.get("drawn") else None,
         )
         for event in events
         if event["event"] == "sample"

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.probing.row_screen import live_count, look_faulty
+from gsgen.contract.probing.row_screen import drawn_rows, live_count, look_faulty
 from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
 from gsgen.contract.process.parent_watchdog import exit_with_parent
@@ -46,6 +46,8 @@ _SUBSAMPLE_ROWS = 1 << 14
 # Start of the key of a faulty run of a named moment whose rows are stored, and the most of them.
 _FAULTY = "faulty "
 _MAX_FAULTY_RUNS = 4
+# Rows for pictures are kept where the disk holds this many times as many.
+_MAX_PICTURES = 128
 # Arrays of inputs up to this size are kept in memory, since many probes share them.
 _MAX_PIPE_BYTES = 1 << 16
 
@@ -128,7 +130,10 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
                 if probe and center is None and job["rows"] in by_name:
                     center = _mean_drawn_center(by_name[job["rows"]])
                 if job["survey"][probe]:
-                    sample = _survey_outputs(folder, by_name, known, emit, job)
+                    pictured = job["pictured"][probe]
+                    sample = _survey_outputs(
+                        folder, by_name, known, emit, job, is_pictured=pictured
+                    )
                 else:
                     sample = keep_outputs(
                         folder, by_name, known, emit, disk=job["disk"], thin=extra
@@ -223,16 +228,20 @@ def _survey_outputs(
     known: dict[str, int],
     emit: EmitMessage,
     job: dict[str, Any],
+    *,
+    is_pictured: bool,
 ) -> int:
     """Record the digest and the row count of a run; store its outputs only if they look faulty.
 
-    Return the index of the record. A few faulty runs are stored, as far as the disk limit allows.
+    Return the index of the record. A few faulty runs are stored, as far as the disk limit allows, and
+    of pictured ones the drawn rows.
     """
     digest = digest_outputs(outputs)
     faulty_keys = [key for key in known if key.startswith(_FAULTY)]
-    for key in (f"{_FAULTY}{digest}", f"survey {digest}"):
-        if key in known:
-            return known[key]
+    kinds = ("pictured ",) if is_pictured else ("survey ", "pictured ")
+    for kind in (_FAULTY, *kinds):
+        if f"{kind}{digest}" in known:
+            return known[f"{kind}{digest}"]
     sample = len(known)
     not_finite = [name for name, value in outputs.items() if not _is_finite(value)]
     rows, count = outputs.get(job["rows"]), outputs.get(job["count"])
@@ -244,12 +253,16 @@ def _survey_outputs(
     # The disk also holds what later probes give: half of it is left to them.
     if is_faulty and len(faulty_keys) < _MAX_FAULTY_RUNS and 2 * size < job["disk"]:
         files = _save_outputs(folder, sample, outputs, job["disk"])
-    known[f"{_FAULTY if files else 'survey '}{digest}"] = sample
+    known[f"{_FAULTY if files else kinds[0]}{digest}"] = sample
     survey = None
     if rows is not None and rows.ndim:
         survey = {"count": live_count(rows, count), "capacity": len(rows)}
-    facts = {"digest": digest, "outputs": files, "thin": True, "not_finite": not_finite}
-    emit("sample", sample=sample, survey=survey, **facts)
+    facts: dict[str, object] = {"digest": digest, "outputs": files, "not_finite": not_finite}
+    drawn = drawn_rows(rows, count) if is_pictured else None
+    if drawn is not None and _MAX_PICTURES * drawn.nbytes < job["disk"]:
+        facts["drawn"] = f"drawn_{sample}.npy"
+        np.save(folder / f"drawn_{sample}.npy", drawn, allow_pickle=False)
+    emit("sample", sample=sample, survey=survey, thin=True, **facts)
     return sample
 
 

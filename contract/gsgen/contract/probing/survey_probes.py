@@ -86,7 +86,7 @@ def ranged_inputs_of(manifest: Manifest) -> list[Input]:
 
 
 def _survey_probe(label: str, inputs: dict[str, Array]) -> Probe:
-    return Probe(label=label, inputs=inputs, extra=True, survey=True)
+    return Probe(label=label, inputs=inputs, extra=True, survey=True, pictured=True)
 
 
 def _camera_survey_probes(
@@ -108,7 +108,8 @@ def _camera_survey_probes(
             view=_input_name(manifest, "view"),
             position=_input_name(manifest, "camera_position"),
         )
-        yield replace(middle_probe, label="from the centre of a Gaussian", placement=placement)
+        center_label = "from the centre of a Gaussian"
+        yield replace(middle_probe, label=center_label, pictured=False, placement=placement)
     far_view = _camera_at(scene.center - _FAR_DISTANCE * scene.radius * forward, forward, scene.up)
     yield _survey_probe("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, far_view))
     for words, up in (("above", scene.up), ("below", -scene.up)):

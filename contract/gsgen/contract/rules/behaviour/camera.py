@@ -1,29 +1,22 @@
-"""Rules of cameras (GI, GB): matrix order, projection sign, and conservative culling."""
+"""Rules of cameras (GI, GV, GB): matrix order, projection sign, no holes where rows are culled."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from gsgen.contract._array_types import Bool, Float
+from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.probing.differences import largest_difference
-from gsgen.contract.probing.probes import as_tensor
+from gsgen.contract.probing.probes import Probe, SceneExtent
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.probing.survey_probes import SIDE_LABEL
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, VARIANCES
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
+from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION
+from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
-
-# A cone in front of every camera: half the opening of the narrowest lens.
-_CONE_SLOPE = 0.2
-_NEAR_DISTANCE = 0.1
-_MIN_CULLED_SHARE = 0.01
-# Of the hidden rows, a sample is compared with the drawn ones: a method that fades rows, or replaces
-# them by others, leaves few of them bare (0 to 0.11 in exports), culling leaves most (0.75 and more).
-_SAMPLE_ROWS = 64
-_COVERED_SIGMAS = 2.0
-_MAX_BACKGROUND_SHARE = 0.4
 
 
 @rule("GI007", Severity.ERROR, needs=(*REPRODUCIBLE, "GI001", "GM006"))
@@ -73,76 +66,6 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
                 yield Violation.at(f"output {name}", actual, "the same for both signs")
 
 
-@rule("GB008", Severity.WARNING, needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"))
-def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
-    """If another camera draws a Gaussian well inside the view, it or a Gaussian near it is drawn.
-
-    Why:
-        Models cull what their camera cannot see by setting its opacity to zero. Culling with a
-        wrong matrix, sign or margin makes holes in the picture that move with the camera. Rows that
-        fade among others, or that coarser ones replace, leave no hole: within two standard
-        deviations of a drawn row, nothing is missing.
-
-    Hint:
-        Cull behind the camera and outside the frustum widened by a tenth; check the matrix order
-        and that +z is forward.
-    """
-    subject = behaviour.subject
-    declared, views = subject.declared_gaussians, subject.inputs_of("view")
-    space = subject.generator.space if subject.generator else None
-    if declared is None or not views or space is None:
-        return
-    probed_rows = [
-        (probe, np.asarray(outputs[declared.name], np.float32))
-        for probe, outputs in behaviour.variants("view")
-    ]
-    drawn = [rows[:, OPACITY] >= CULL_OPACITY for _, rows in probed_rows]
-    for index, (probe, rows) in enumerate(probed_rows):
-        matrix = as_tensor(probe.inputs[views[0][0].name], space.matrix_order)
-        is_hidden_in_view = _cone_mask(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
-        is_drawn_elsewhere = np.zeros(len(rows), bool)
-        for other_index, (_, other_rows) in enumerate(probed_rows):
-            if other_index != index and other_rows.shape == rows.shape:
-                is_same_center = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
-                is_drawn_elsewhere |= is_same_center & drawn[other_index]
-        hidden_rows = is_hidden_in_view & is_drawn_elsewhere
-        culled_count = int(np.count_nonzero(hidden_rows))
-        is_culling_significant = culled_count > _MIN_CULLED_SHARE * max(
-            int(np.count_nonzero(drawn[index])), 1
-        )
-        if (
-            is_culling_significant
-            and _uncovered_share(rows[hidden_rows], rows[drawn[index]]) > _MAX_BACKGROUND_SHARE
-        ):
-            actual = (
-                f"{culled_count} rows in the middle of the view have opacity 0 at {probe.label!r}, and "
-                "nothing is drawn in place of them"
-            )
-            expected = "an opacity above 0, as other cameras get"
-            yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
-
-
-def _uncovered_share(
-    hidden_rows: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]
-) -> float:
-    """Return the fraction of culled Gaussians whose centre lies within no drawn Gaussian."""
-    if not len(drawn):
-        return 1.0
-    size = np.square(_COVERED_SIGMAS) * drawn[:, list(VARIANCES)].max(axis=1)
-    sample = hidden_rows[:: max(1, len(hidden_rows) // _SAMPLE_ROWS), POSITION]
-    squared_distances = (np.square(drawn[:, POSITION] - centre).sum(axis=1) for centre in sample)
-    return float(np.mean([not (square <= size).any() for square in squared_distances]))
-
-
-def _cone_mask(
-    position: Float[np.ndarray, "n 3"], view: Float[np.ndarray, "4 4"]
-) -> Bool[np.ndarray, " n"]:
-    x, y, z = (position @ view[:3, :3].T + view[:3, 3]).T
-    return np.asarray(
-        (z > _NEAR_DISTANCE) & (np.abs(x) < _CONE_SLOPE * z) & (np.abs(y) < _CONE_SLOPE * z)
-    )
-
-
 @rule("GV017", Severity.WARNING, needs=("GV025", "GO010", "GO011", "GV016"))
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     """No camera that sees the declared bounds gets 0 Gaussians if other cameras get some.
@@ -175,3 +98,281 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
         )
         expected = "rows for every camera that sees the bounds"
         yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
+
+
+# Rows nearer than this share of the bounds' half diagonal are too near for a picture.
+_NEAR_SHARE = 0.1
+# Rows count as in view within this share of the picture's half width and half height.
+_MAX_VIEW_SHARE = 0.95
+_MIN_HIDDEN_ROWS, _MIN_SEEING_CAMERAS = 3, 3
+# A pixel is a hole if the full picture covers it, and less than this share of that is left, or what
+# is left is farther away by this factor.
+_MIN_COVERAGE, _MIN_LEFT_SHARE, _MAX_DEPTH_RATIO = 0.05, 0.5, 1.3
+# The statistic is the share of the covered picture that is holes, at the worst camera. Right models
+# have 0; levels of detail that merge few rows coarsely up to 0.16; wrong planes, lenses, sides and
+# distances 0.64 to 1.
+_MAX_HOLE_SHARE = 0.35
+# A smaller part of the picture, in pixels of 576, says nothing.
+_MIN_PICTURE_AREA = 8.0
+# Hidden and drawn rows differ by one number, such as the depth, in this share of all pairs.
+_MIN_SEPARATION = 0.9
+# From nearby, a model draws at least this share of the rows in view that it draws from afar, where
+# it is this many times as far. Right levels draw as many or more, reversed ones 0.1 to 0.4.
+_MIN_DETAIL_SHARE, _MIN_DETAIL_ROWS, _MIN_DISTANCE_RATIO = 0.5, 24, 1.8
+# Rows and pictures at most that are drawn.
+_PICTURE_ROWS, _PICTURE_COUNT = 1024, 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sight:
+    """One camera of a model, and what it draws.
+
+    Attributes:
+        probe: Its probe.
+        rows: The drawn rows, float64.
+        keys: A hash of each one's position.
+        is_drawn: Which rows of all cameras together are drawn.
+        is_in_view: Which of them are in view.
+        depth: The depth of each of them.
+        place: Their places in the picture, from −1 to 1 within it.
+        slope: The larger of x / z and y / z of each of them.
+    """
+
+    probe: Probe
+    rows: Float[np.ndarray, "n 10"]
+    keys: UInt[np.ndarray, " n"]
+    is_drawn: Bool[np.ndarray, " m"]
+    is_in_view: Bool[np.ndarray, " m"]
+    depth: Float[np.ndarray, " m"]
+    place: Float[np.ndarray, "m 2"]
+    slope: Float[np.ndarray, " m"]
+
+    @property
+    def is_hidden(self) -> Bool[np.ndarray, " m"]:
+        """Which rows are in view, and not drawn."""
+        return np.asarray(self.is_in_view & ~self.is_drawn)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scene:
+    """The rows that any camera draws, and the cameras.
+
+    Attributes:
+        rows: The rows, with the mean of their opacities.
+        keys: A hash of each one's position, in ascending order.
+        sights: The cameras.
+        near: Depths below this are left out.
+    """
+
+    rows: Float[np.ndarray, "m 10"]
+    keys: UInt[np.ndarray, " m"]
+    sights: list[_Sight]
+    near: float
+
+
+@rule("GB067", Severity.WARNING, needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"))
+def detail_grows_nearby(behaviour: Behaviour) -> Iterator[Violation]:
+    """From nearby, a model draws at least half of the rows in view that it draws from afar.
+
+    Why:
+        Levels of detail in the reverse order, or chosen by another distance than that of the
+        camera, leave a few coarse Gaussians where people look closely.
+
+    Hint:
+        Let the finest level have the smallest distance; take the distance from the camera's centre
+        −Rᵀ t to the row.
+    """
+    scene = _read_scene(behaviour)
+    for near in scene.sights if scene else ():
+        for far in scene.sights if scene else ():
+            region = near.is_in_view & far.is_in_view
+            counts = [int(np.count_nonzero(region & sight.is_drawn)) for sight in (near, far)]
+            if counts[1] < _MIN_DETAIL_ROWS or counts[0] >= _MIN_DETAIL_SHARE * counts[1]:
+                continue
+            ratio = float(np.median(far.depth[region]) / np.median(near.depth[region]))
+            if ratio >= _MIN_DISTANCE_RATIO and counts[0] and not _separation(near):
+                actual = (
+                    f"{counts[0]} of the rows in view are drawn at {near.probe.label!r}, and "
+                    f"{counts[1]} of them at {far.probe.label!r}, {ratio:.2g} times as far away"
+                )
+                statistic = Statistic(
+                    "rows nearby over rows from afar", counts[0] / counts[1], _MIN_DETAIL_SHARE
+                )
+                yield _violation(behaviour, actual, "more rows the nearer the camera", statistic)
+                return
+
+
+@rule(
+    "GB008",
+    Severity.WARNING,
+    needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017", "GB067"),
+)
+def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
+    """Rows that a camera does not draw leave no hole in its picture, compared with all rows.
+
+    Why:
+        Models cull what their camera cannot see by setting its opacity to zero. Culling with a
+        wrong matrix, sign, lens or margin makes holes in the picture that move with the camera. The
+        pictures are drawn from inside, from the rim, from near and far, in portrait and in
+        landscape, of the rows that any of these cameras draws.
+
+    Hint:
+        Cull behind the camera and outside the frustum widened by a tenth: of the projection matrix
+        that is fed, with the width before the height; check the matrix order, and that +z is
+        forward. Keep the near plane below a hundredth of the scene, and the finest level where the
+        distance is smallest.
+    """
+    scene = _read_scene(behaviour)
+    if scene is None:
+        return
+    suspects = [s for s in scene.sights if np.count_nonzero(s.is_hidden) >= _MIN_HIDDEN_ROWS]
+    suspects.sort(key=lambda sight: -float(sight.is_hidden.sum() / max(sight.is_in_view.sum(), 1)))
+    shares = [_hole_share(behaviour, scene, sight) for sight in suspects[:_PICTURE_COUNT]]
+    if shares and max(shares) > _MAX_HOLE_SHARE:
+        share, sight = max(zip(shares, suspects, strict=False), key=lambda entry: entry[0])
+        words = _separation(sight) or "all over the picture"
+        actual = (
+            f"holes in {share:.0%} of the picture at {sight.probe.label!r}: "
+            f"{np.count_nonzero(sight.is_hidden)} of {np.count_nonzero(sight.is_in_view)} rows in "
+            f"view are not drawn, {words}"
+        )
+        statistic = Statistic("share of holes", share, 0.0, _MAX_HOLE_SHARE)
+        yield _violation(behaviour, actual, "a picture as that of all rows", statistic)
+
+
+def _violation(behaviour: Behaviour, actual: str, expected: str, statistic: Statistic) -> Violation:
+    declared = behaviour.subject.declared_gaussians
+    where = f"output {declared.name if declared else '?'}"
+    return Violation.at(where, actual, expected, certainty="possible", statistic=statistic)
+
+
+def _read_scene(behaviour: Behaviour) -> _Scene | None:
+    """Return the rows that the cameras of one moment draw; None if all draw the same ones."""
+    manifest = behaviour.subject.generator
+    if manifest is None or manifest.outputs.gaussians is None:
+        return None
+    from gsgen.contract.probing.row_screen import row_keys
+
+    drawn = list(_drawn_by_cameras(behaviour, manifest))
+    keys = [row_keys(rows[:, POSITION]) for _, rows in drawn]
+    if len(drawn) < 2 or all(np.array_equal(own, keys[0]) for own in keys):
+        return None
+    from gsgen.contract.rules.behaviour.coverage_pictures import (
+        lens_of_probe,
+        project,
+        view_of_probe,
+    )
+
+    rows = np.concatenate([rows for _, rows in drawn]).astype(np.float64)
+    known, first, inverse = np.unique(np.concatenate(keys), return_index=True, return_inverse=True)
+    counts = np.bincount(inverse)
+    union = rows[first]
+    union[:, OPACITY] = np.bincount(inverse, rows[:, OPACITY]) / counts
+    # Rows that move with the camera, such as those of a sky, are drawn at other places each time.
+    stays = counts >= _MIN_SEEING_CAMERAS
+    known, union = known[stays], union[stays]
+    near = _NEAR_SHARE * SceneExtent.from_manifest(manifest).radius
+    sights = []
+    for (probe, own_rows), own_keys in zip(drawn, keys, strict=True):
+        view = view_of_probe(manifest, probe)
+        if view is None:
+            return None
+        lens = lens_of_probe(manifest, probe)
+        projected = project(union, view, lens, near)
+        depth, place = np.zeros(len(union)), np.full((len(union), 2), np.inf)
+        depth[projected.indices], place[projected.indices] = projected.depth, projected.place
+        sights.append(
+            _Sight(
+                probe=probe,
+                rows=own_rows.astype(np.float64),
+                keys=own_keys,
+                is_drawn=np.isin(known, own_keys),
+                is_in_view=np.abs(place).max(axis=1) <= _MAX_VIEW_SHARE,
+                depth=depth,
+                place=place,
+                slope=np.abs(place / np.array(lens)).max(axis=1),
+            )
+        )
+    return _Scene(rows=union, keys=known, sights=sights, near=near)
+
+
+def _drawn_by_cameras(
+    behaviour: Behaviour, manifest: GeneratorManifest
+) -> Iterator[tuple[Probe, Float[np.ndarray, "n 10"]]]:
+    """Yield the runs that differ from the base run in the camera alone, and their drawn rows."""
+    from gsgen.contract.probing.row_screen import drawn_rows
+
+    base = behaviour.base.probe.inputs
+    others = [entry.name for entry in manifest.inputs if entry.role not in CAMERA_ROLES]
+    for run in (*behaviour.trial_runs("survey"), *behaviour.trial_runs("screens")):
+        drawn = run.sample.drawn if run.sample is not None else None
+        is_same_moment = all(np.array_equal(run.probe.inputs[k], base[k]) for k in others)
+        if drawn is not None and is_same_moment:
+            yield run.probe, drawn
+    count, gaussians = manifest.outputs.count, manifest.outputs.gaussians
+    assert gaussians is not None
+    roles = ("view", "camera_position")
+    role = next((role for role in roles if behaviour.subject.inputs_of(role)), "")
+    for probe, outputs in behaviour.variants(role):
+        rows = drawn_rows(outputs[gaussians.name], outputs.get(count.name) if count else None)
+        if rows is not None:
+            yield probe, rows
+
+
+def _hole_share(behaviour: Behaviour, scene: _Scene, sight: _Sight) -> float:
+    """Return the share of a camera's picture that is missing, compared with all rows."""
+    from gsgen.contract.rules.behaviour.coverage_pictures import (
+        draw_coverage,
+        lens_of_probe,
+        view_of_probe,
+    )
+
+    manifest = behaviour.subject.generator
+    assert manifest is not None
+    view, lens = view_of_probe(manifest, sight.probe), lens_of_probe(manifest, sight.probe)
+    assert view is not None
+    # Few of many rows are drawn, and larger ones, so that surfaces remain closed.
+    step = -(-int(np.count_nonzero(sight.is_in_view)) // _PICTURE_ROWS)
+    pictures = []
+    for rows, keys in ((scene.rows, scene.keys), (sight.rows, sight.keys)):
+        sample = rows[keys % np.uint64(max(step, 1)) == 0].copy()
+        sample[:, COVARIANCE] *= step
+        pictures.append(draw_coverage(sample, view, lens, scene.near))
+    (full, full_depth), (left, left_depth) = pictures
+    is_covered = full >= _MIN_COVERAGE
+    is_hole = is_covered & (
+        (left < _MIN_LEFT_SHARE * full) | (left_depth > _MAX_DEPTH_RATIO * full_depth)
+    )
+    area = float(full[is_covered].sum())
+    return float(full[is_hole].sum()) / area if area >= _MIN_PICTURE_AREA else 0.0
+
+
+def _separation(sight: _Sight) -> str:
+    """Return by which number hidden rows differ from drawn ones; empty if by none."""
+    hidden, shown = sight.is_hidden, sight.is_in_view & sight.is_drawn
+    if not shown.any():
+        return "which are all of them"
+    numbers = {
+        "the nearest": -sight.depth,
+        "the farthest": sight.depth,
+        "those at the rim": np.abs(sight.place).max(axis=1),
+        "those beyond an angle": sight.slope,
+        "those at the left and at the right": np.abs(sight.place[:, 0]),
+        "those at the top and at the bottom": np.abs(sight.place[:, 1]),
+        "those at the left": -sight.place[:, 0],
+        "those at the right": sight.place[:, 0],
+        "those at the top": -sight.place[:, 1],
+        "those at the bottom": sight.place[:, 1],
+    }
+    separations = {
+        words: _share_above(values[hidden], values[shown]) for words, values in numbers.items()
+    }
+    words, share = max(separations.items(), key=lambda entry: entry[1])
+    return words if share >= _MIN_SEPARATION else ""
+
+
+def _share_above(values: Float[np.ndarray, " h"], others: Float[np.ndarray, " s"]) -> float:
+    """Return in which share of all pairs the first number is above the second."""
+    if not len(values):
+        return 0.0
+    return float(np.searchsorted(np.sort(others), values).mean() / len(others))

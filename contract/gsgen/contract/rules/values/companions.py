@@ -1,15 +1,17 @@
-"""Validation rules of post-process models: images are finite, of the declared size and range."""
+"""Validation rules of post-process models: finite images of the declared size, range and place."""
 
 from collections.abc import Iterator
+from itertools import permutations
 
 import numpy as np
 
-from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract._array_types import Float
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
+from gsgen.contract.validation.finding import Statistic, Violation
+from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 # An image may leave its range by this fraction of it, in so many of its values.
@@ -101,3 +103,184 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
         actual = f"values from {min_value:.3g} to {max_value:.3g}"
         expected = f"the declared range {[low, high]}"
         yield Violation.at(f"output {name}", actual, expected, certainty="possible")
+
+
+# The statistic is the correlation of the result with a picture that has another gradient in each
+# channel: 0.94 to 1 as it is where a network restores pictures. Another version of the picture must
+# fit nearly so well, and better by far: turned, mirrored and exchanged pictures have 0.9 to 1, and
+# −0.3 to 0.4 as they are; networks with random weights fit no other version by more than 0.34.
+_MIN_OTHER_CORRELATION, _MIN_CORRELATION_MARGIN = 0.7, 0.3
+# Edges of pictures of odd sizes fit best where they were: right models are off by 0 pixels, crops
+# and paddings on the wrong side by 1 to 32.
+_MIN_SHIFT, _MAX_SHIFT = 1, 32
+_MIN_SHIFT_CORRELATION, _MIN_SHIFT_MARGIN = 0.5, 0.2
+# Of the picture's contrast, 0.12 are left by networks with random weights, 0.5 by one that darkens,
+# and 0.004 where 0 to 1 is taken for 0 to 255.
+_MIN_CONTRAST_SHARE = 0.02
+_TINY = 1e-12
+
+Picture = Float[np.ndarray, "3 h w"]
+
+
+@rule("GB063", Severity.WARNING, needs=(*REPRODUCIBLE, "GV055", "GV056"), kinds=(POST_PROCESS,))
+def picture_keeps_its_place(behaviour: Behaviour) -> Iterator[Violation]:
+    """A picture comes out upright, unmirrored, where it was, and with red, green and blue in order.
+
+    Why:
+        The result is drawn over the rendered image. Libraries differ in which row is the first,
+        in the order of channels, and in the side at which they fill up a picture.
+
+    Hint:
+        Images are [1, channels, height, width] with the top row first, in the order R, G, B.
+        Pad at the right and at the bottom, and crop there.
+    """
+    for run, picture, result in _shown_pictures(behaviour):
+        words, correlation = _best_other_version(picture, result)
+        as_it_is = _correlation(picture, result)
+        if correlation < max(_MIN_OTHER_CORRELATION, as_it_is + _MIN_CORRELATION_MARGIN):
+            continue
+        actual = (
+            f"{words}: the result at {run.probe.label!r} has the correlation {correlation:.2f} "
+            f"with the picture so, and {as_it_is:.2f} with the picture as it is"
+        )
+        yield _violation(behaviour, actual, "the picture as it is", as_it_is)
+        return
+    for run, picture, result in _pictures_of_group(behaviour, "open sizes"):
+        (down, right), best, in_place = _best_shift(picture, result)
+        if max(abs(down), abs(right)) >= _MIN_SHIFT and best >= max(
+            _MIN_SHIFT_CORRELATION, abs(in_place) + _MIN_SHIFT_MARGIN
+        ):
+            actual = (
+                f"moved by {down} pixels down and {right} to the right at {run.probe.label!r}: its "
+                f"edges have the correlation {best:.2f} there, and {in_place:.2f} in their place"
+            )
+            yield _violation(behaviour, actual, "the picture in its place", in_place)
+            return
+
+
+@rule(
+    "GB064",
+    Severity.WARNING,
+    needs=(*REPRODUCIBLE, "GV055", "GV056", "GB063"),
+    kinds=(POST_PROCESS,),
+)
+def picture_keeps_contrast(behaviour: Behaviour) -> Iterator[Violation]:
+    """The result of a picture has more than a fiftieth of the picture's contrast.
+
+    Why:
+        A network that was trained on bytes takes 0 to 1 for black: its result is one flat colour,
+        or the declared range is not that of the result.
+
+    Hint:
+        Multiply the image by 255 before the network, and divide the result by 255; or declare the
+        range that the network takes.
+    """
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, PostProcessManifest)
+    spans = [high - low for low, high in (manifest.image_range, manifest.outputs.image.range)]
+    for run, picture, result in _shown_pictures(behaviour):
+        contrasts = [float(image.std(axis=(1, 2)).mean()) for image in (picture, result)]
+        share = (contrasts[1] / spans[1]) / max(contrasts[0] / spans[0], _TINY)
+        if share <= _MIN_CONTRAST_SHARE:
+            actual = f"{share:.2g} of the picture's contrast at {run.probe.label!r}"
+            expected = f"more than {_MIN_CONTRAST_SHARE} of it"
+            statistic = Statistic("share of the contrast", share, _MIN_CONTRAST_SHARE)
+            where = f"output {manifest.outputs.image.name}"
+            yield Violation.at(where, actual, expected, certainty="possible", statistic=statistic)
+            return
+
+
+def _violation(behaviour: Behaviour, actual: str, expected: str, correlation: float) -> Violation:
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, PostProcessManifest)
+    return Violation.at(
+        f"output {manifest.outputs.image.name}",
+        actual,
+        expected,
+        certainty="possible",
+        statistic=Statistic("correlation", correlation, _MIN_OTHER_CORRELATION, 1.0),
+    )
+
+
+def _shown_pictures(behaviour: Behaviour) -> Iterator[tuple[ProbeRun, Picture, Picture]]:
+    """Yield the run with another gradient in each channel, its picture and its result."""
+    from gsgen.contract.probing.picture_probes import CHANNEL_GRADIENTS
+
+    for run, picture, result in _pictures_of_group(behaviour, "pictures"):
+        if run.probe.label == CHANNEL_GRADIENTS:
+            yield run, picture, result
+
+
+def _pictures_of_group(
+    behaviour: Behaviour, group: str
+) -> Iterator[tuple[ProbeRun, Picture, Picture]]:
+    """Yield the runs of a group of named moments, with the colours of picture and result.
+
+    Results are reduced to the size of the picture.
+    """
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, PostProcessManifest)
+    image = next(entry for entry in manifest.inputs if entry.role == "image")
+    output = manifest.outputs.image
+    for run in behaviour.trial_runs(group):
+        picture, result = run.probe.inputs[image.name], run.outputs.get(output.name)
+        if result is None or min(picture.shape[1], result.shape[1]) < 3:
+            continue
+        height, width = picture.shape[2:]
+        blocks = result[0, :3].astype(np.float64)
+        blocks = blocks.reshape(3, height, output.scale, width, output.scale)
+        yield run, picture[0, :3].astype(np.float64), blocks.mean(axis=(2, 4))
+
+
+def _correlation(first: Picture, second: Picture) -> float:
+    """Return the correlation of two pictures over all channels, whose means are left out."""
+    a, b = (image - image.mean(axis=(1, 2), keepdims=True) for image in (first, second))
+    return float((a * b).sum() / max(float(np.sqrt((a * a).sum() * (b * b).sum())), _TINY))
+
+
+def _best_other_version(picture: Picture, result: Picture) -> tuple[str, float]:
+    """Return which change of the picture fits the result best, and how well."""
+    shape = picture.shape
+    versions = {
+        "upside down": picture[:, ::-1],
+        "mirrored": picture[:, :, ::-1],
+        "turned by half a turn": picture[:, ::-1, ::-1],
+        "with height and width exchanged": picture.swapaxes(1, 2).reshape(shape),
+        "with channels written last": picture.transpose(1, 2, 0).reshape(shape),
+        "with channels read last": picture.reshape(*shape[1:], 3).transpose(2, 0, 1),
+    }
+    for order in list(permutations(range(3)))[1:]:
+        name = " ".join("RGB"[channel] for channel in order)
+        versions[f"with channels in the order {name}"] = picture[list(order)]
+    correlations = {words: _correlation(image, result) for words, image in versions.items()}
+    return max(correlations.items(), key=lambda entry: entry[1])
+
+
+def _best_shift(picture: Picture, result: Picture) -> tuple[tuple[int, int], float, float]:
+    """Return by how many pixels down and right edges moved, and their correlation there and before.
+
+    The edges of all channels are compared: the Laplacian of each picture.
+    """
+    a = _edges(picture)
+    limit = float(np.abs(a).max())  # a border of another colour is one edge among others
+    b = np.clip(_edges(result), -limit, limit)
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    spectrum = (np.conj(np.fft.rfft2(a)) * np.fft.rfft2(b)).sum(axis=0)
+    correlations = np.fft.irfft2(spectrum, a.shape[1:]) / max(size, _TINY)
+    reach = range(-_MAX_SHIFT, _MAX_SHIFT + 1)
+    height, width = a.shape[1:]
+    down, right = (np.array([s for s in reach if 2 * abs(s) < side]) for side in (height, width))
+    window = correlations[np.ix_(down % height, right % width)]
+    row, column = np.unravel_index(int(window.argmax()), window.shape)
+    shift = (int(down[row]), int(right[column]))
+    return shift, float(window[row, column]), float(correlations[0, 0])
+
+
+def _edges(image: Picture) -> Float[np.ndarray, "3 i j"]:
+    return np.asarray(
+        4 * image[:, 1:-1, 1:-1]
+        - image[:, :-2, 1:-1]
+        - image[:, 2:, 1:-1]
+        - image[:, 1:-1, :-2]
+        - image[:, 1:-1, 2:]
+    )
