@@ -1,7 +1,11 @@
 """Gaussian Generators: the contract of ONNX models that emit 3D Gaussians, and its tools.
 
-Four folders of the repository hold parts of this package: contract, sdk, runtime and
-reference_plugins. A wheel joins them.
+    >>> import gsgen
+    >>> splats = gsgen.load("garden.ply")
+    >>> gsgen.render(splats).save("garden.png")
+
+The names below are loaded on first use. Four folders of the repository hold parts of this
+package: contract, sdk, runtime and reference_plugins. A wheel joins them.
 """
 
 import os
@@ -11,9 +15,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gsgen._front_door import bake, convert, export, load, render, validate, view
+
     __version__: str
 
-__all__ = ["__version__"]
+_FRONT_DOOR = ("bake", "convert", "export", "load", "render", "validate", "view")
+__all__ = ["__version__", "bake", "convert", "export", "load", "render", "validate", "view"]
 # Spelled as tools that read code without running it recognise it, such as those of the docs.
 __path__ = __import__("pkgutil").extend_path(__path__, __name__)
 if __spec__ is not None:  # tools that import code look here
@@ -26,13 +33,20 @@ for _telemetry_variable in ("ORT_DISABLE_TELEMETRY", "HF_HUB_DISABLE_TELEMETRY")
 
 
 def __getattr__(name: str) -> object:
-    """Read the installed version when it is first asked for (PEP 562)."""
-    if name != "__version__":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import version
+    """Load a public name, or read the installed version, on its first use (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version
 
-    globals()[name] = version("gsgen")
+        globals()[name] = version("gsgen")
+    elif name in _FRONT_DOOR:
+        globals()[name] = getattr(import_module("gsgen._front_door"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def _lazy_names(

@@ -15,12 +15,14 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from support.commands import ROOT
+from support.reports.pages import DOCS, blocks
 from support.web.packages import package
 
 pytestmark = pytest.mark.slow
 
 
 ACME = Path(__file__).parent / "acme"
+PROGRAMS = DOCS / "guides/use-it-from-python.md"
 _DOTTED = re.compile(r"\bgsgen(?:\.\w+)+")
 _IMPORT_PATTERN = re.compile(r"from (gsgen[.\w]*) import (?:(\w[^\n(]*)|\(([^)]*)\))")
 Acme = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -182,7 +184,7 @@ def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
     """Each package has a py.typed, or mypy would take every name for Any."""
     shutil.copytree(Path(__file__).parent / "consumer", tmp_path / "consumer")
     mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable", fresh / "python"]
-    right = run(*mypy, "consumer/consumer.py", cwd=tmp_path)
+    right = run(*mypy, "consumer/consumer.py", *_programs(tmp_path), cwd=tmp_path)
     assert right.returncode == 0, right.stdout
     wrong = run(*mypy, "consumer/wrong.py", cwd=tmp_path)
     assert wrong.returncode == 1, wrong.stdout
@@ -190,11 +192,21 @@ def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
     assert "[attr-defined]" in wrong.stdout
 
 
-def test_pyright_agrees(fresh: Path) -> None:
+def _programs(folder: Path) -> list[Path]:
+    """Write the Python programs of the guide into a folder, and return their paths."""
+    programs = [block for block in blocks(PROGRAMS) if block.mark.endswith(".py")]
+    assert len(programs) == 8
+    for block in programs:
+        assert len(block.text.strip().splitlines()) <= 8
+        (folder / block.mark).write_text(block.text, "utf-8")
+    return [folder / block.mark for block in programs]
+
+
+def test_pyright_agrees(fresh: Path, tmp_path: Path) -> None:
     pyright = package("pyright-1.1.414", needs_node=True) / "index.js"
     files = [Path(__file__).parent / "consumer" / name for name in ("consumer.py", "wrong.py")]
     command = ["node", pyright, "--outputjson", "--pythonpath", fresh / "python"]
-    report = json.loads(run(*command, *files, cwd=fresh).stdout)
+    report = json.loads(run(*command, *files, *_programs(tmp_path), cwd=fresh).stdout)
     errors = [(Path(entry["file"]).name, entry["rule"]) for entry in report["generalDiagnostics"]]
     assert sorted(errors) == [
         ("wrong.py", "reportArgumentType"),

@@ -36,9 +36,10 @@ from gsgen.formats.ply.compressed_ply import compressed_order, write_compressed_
 from gsgen.formats.ply.header import MAGIC as PLY_MAGIC
 from gsgen.formats.ply.ply import read_ply, write_ply
 from gsgen.formats.ply.write import PlyFrames
+from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, stream_size
 from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
-from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats, save_splats_with
 from gsgen.formats.sog.meta import looks_like_meta
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.sog.write import sog_order, write_sog
@@ -261,3 +262,18 @@ def recognise_codec(file: BinaryIO) -> Codec | None:
         if codec.matches_content and codec.matches_content(head, stream_size(file))
     )
     return next(similar_codecs, None)
+
+
+def _write_by_suffix(path: FilePath, splats: Splats) -> None:
+    codec = codec_of_suffix(path)
+    if codec is None or codec.write is None:
+        suffixes = ", ".join(codec.suffixes[0] for codec in CODECS if codec.write)
+        raise NotSupported(
+            f"no format that is written has the suffix of {Path(path).name}",
+            expected=suffixes,
+            path=str(path),
+        )
+    codec.write(path, splats)
+
+
+save_splats_with(_write_by_suffix)

@@ -18,6 +18,7 @@ __all__ = [
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Literal
 
 from gsgen.contract.errors import ExitCode, GsgenError
@@ -253,6 +254,16 @@ class Report:
             if outcome.rule.id == rule_id:
                 return outcome
         raise KeyError(rule_id)
+
+    def __str__(self) -> str:
+        """Return the report as ``gsgen validate`` prints it."""
+        # The reporters are above this room; they are needed where a report is printed alone.
+        render = import_module("gsgen.contract.reporters.text").render
+        return "\n".join(line.text for line in render(self))
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.count(entry)} of severity {entry.word}" for entry in Severity)
+        return f"<Report: {self.path}: {self.verdict}, {counts}>"
 
     def _repr_html_(self) -> str:
         """Return the validation report's conclusion and findings as HTML, for notebooks."""

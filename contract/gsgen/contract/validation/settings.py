@@ -6,7 +6,7 @@ Precedence, strongest first: command line, settings file, target, the rule's own
 __all__ = ["PYPROJECT", "Settings", "config_schema", "read_config"]
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -66,6 +66,23 @@ class Settings:
     docs_url: str = ""
     waivers: tuple[Waiver, ...] = ()
     today: date = field(default_factory=date.today)
+
+    def __post_init__(self) -> None:
+        """Take words for level, target and severities; raise for values of other types."""
+        words: dict[str, tuple[type, Callable[[str], object]]] = {
+            "level": (Level, lambda word: Level.parse(word, "level")),
+            "target": (Target, lambda word: load_target(word, "target")),
+            "fail_on": (Severity, lambda word: Severity.parse(word, "fail_on")),
+            "limits": (Limits, lambda word: word),
+        }
+        for name, (kind, parse) in words.items():
+            value = getattr(self, name)
+            if isinstance(value, str):
+                value = parse(value)
+                object.__setattr__(self, name, value)
+            if not isinstance(value, kind):
+                message = f"is {value!r}, expected a word or a {kind.__name__}"
+                raise ConfigInvalid(message, where=name)
 
     def severity_of(self, rule: Rule) -> Severity:
         """Return a rule's severity: from the validation settings, or else from its declaration."""

@@ -188,6 +188,12 @@ class FrameSequence(Playback):
             convert = pictures.picture_of if bits == 8 else deep_pictures.picture16_of
             yield convert(frame, self._output_mode, depths)
 
+    @property
+    def last_frame(self) -> Frame:
+        """The frame that was drawn last."""
+        assert self._last_frame is not None  # draw() or write() comes first
+        return self._last_frame
+
     def summary(self) -> dict[str, object]:
         """Return size, device, and numbers of frames and Gaussians of a drawn sequence; its waits."""
         assert self._last_frame is not None  # write() comes first

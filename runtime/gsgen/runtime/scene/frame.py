@@ -3,12 +3,17 @@
 __all__ = ["COLOR_OUTPUT_ONLY", "NOTHING", "OUTPUTS", "Frame", "Output", "psnr"]
 
 import io
+import os
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float, Float32, Int64, UInt8
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import atomic_write
 
 Output = Literal["color", "depth", "normal"]
 """Outputs of a frame; ``depth`` includes both depths and the ids."""
@@ -98,6 +103,30 @@ class Frame:
         if self.color_space == "linear":
             color = srgb_of_linear(color)
         return np.concatenate([color, alpha], axis=-1)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the colours as a picture, such as a PNG, or all channels as an ``.npy``.
+
+        Raises:
+            ConfigInvalid: No kind of picture has this suffix, or the file cannot be written.
+            ValueError: Colours were not requested.
+        """
+        from PIL import Image
+
+        file, kinds = Path(path), Image.registered_extensions()
+        suffix = file.suffix.lower()
+        if suffix != ".npy" and kinds.get(suffix) not in Image.SAVE:
+            raise ConfigInvalid(
+                f"has the suffix {suffix or '(none)'}, expected that of a picture",
+                where=str(file),
+                hint=f"Name {file.with_suffix('.png')}.",
+            )
+        with atomic_write(file) as draft:
+            if suffix == ".npy":
+                np.save(draft, self.srgb8)
+            else:
+                picture = Image.fromarray(self.srgb8)
+                picture.convert("RGB" if kinds[suffix] == "JPEG" else "RGBA").save(draft)
 
     def __repr__(self) -> str:
         images = [

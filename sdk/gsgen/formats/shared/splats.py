@@ -1,9 +1,10 @@
 """The data classes of splats, points and packed Gaussians that readers and writers share."""
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Final, Literal, final
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -11,7 +12,9 @@ from jaxtyping import Float, Float32
 from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
 
-__all__ = ["DEFAULT_UP", "NO_ORIGIN", "SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
+__all__ = [
+    "DEFAULT_UP", "NO_ORIGIN", "SH_COUNTS", "PackedRows", "PointCloud", "Splats", "save_splats_with",
+]  # fmt: skip
 
 SH_COUNTS = (1, 4, 9, 16, 25)
 """SH coefficients per channel for degree 0, 1, 2, 3 and 4."""
@@ -21,6 +24,21 @@ NO_ORIGIN: Final = (0.0, 0.0, 0.0)
 """The origin of splats whose positions are those of the file."""
 MAX_FLOAT32_OFFSET: Final = 16384.0
 """The largest coordinate without an origin: beyond it, float32 has steps of over 1/1000."""
+
+_SH_CONSTANT: Final = 0.5 / math.sqrt(math.pi)  # Y_0, the harmonic of degree 0
+
+
+def _no_writer(path: str | os.PathLike[str], splats: "Splats") -> None:
+    raise NotImplementedError("import gsgen.formats, which has the writers of all formats")
+
+
+_write: Callable[[str | os.PathLike[str], "Splats"], None] = _no_writer
+
+
+def save_splats_with(write: Callable[[str | os.PathLike[str], "Splats"], None]) -> None:
+    """Set the function that :meth:`Splats.save` calls; the table of formats, above, sets it."""
+    global _write
+    _write = write
 
 
 @final
@@ -76,6 +94,47 @@ class Splats:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def __getitem__(self, rows: "slice | np.ndarray | list[int]") -> "Splats":
+        """Return the splats of some rows: a slice, a mask, or an array of indices."""
+        names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+        arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, **arrays)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the splats in the format of the path's suffix, such as .ply or .spz.
+
+        Raises:
+            FormatError: The format cannot store the splats, or no format has the suffix.
+        """
+        _write(path, self)
+
+    @property
+    def xyz(self) -> Float32[np.ndarray, "n 3"]:
+        """The centres, in scene units."""
+        return self.position
+
+    @property
+    def opacity(self) -> Float32[np.ndarray, " n"]:
+        """The opacity of each splat, from 0 to 1: the sigmoid of ``logit_opacity``."""
+        # Half a hyperbolic tangent, which neither overflows nor warns.
+        return np.asarray(0.5 + 0.5 * np.tanh(self.logit_opacity / 2), np.float32)
+
+    @property
+    def scale(self) -> Float32[np.ndarray, "n 3"]:
+        """The standard deviations along the three axes, in scene units."""
+        return np.asarray(np.exp(self.log_scale))
+
+    @property
+    def quaternion(self) -> Float32[np.ndarray, "n 4"]:
+        """The rotations as unit quaternions (w, x, y, z)."""
+        length = np.linalg.norm(self.rotation, axis=1, keepdims=True)
+        return np.asarray(self.rotation / np.where(length > 0, length, 1), np.float32)
+
+    @property
+    def rgb(self) -> Float32[np.ndarray, "n 3"]:
+        """The colour of each splat from all sides, of harmonics of degree 0, from 0 to 1."""
+        return np.clip(0.5 + _SH_CONSTANT * self.sh[:, 0], 0, 1).astype(np.float32)
 
     @property
     def degree(self) -> int:
