@@ -71,6 +71,9 @@ def main() -> None:
         )
         onnx = processor_seconds("-c", "import onnx")
         print(f"import onnx: {onnx:.3f} s of processor time")
+        empty = processor_seconds("-c", "pass")
+        share = (processor_seconds("-c", "import gsgen") - empty) / (onnx - empty)
+        print(f"import gsgen: {share:.2f} × import onnx, both beyond an empty program; bar 0.2")
         for words in commands:
             share = processor_seconds("-m", "gsgen.cli", *words) / onnx
             print(f"gsgen {words[0]}: {share:.2f} × import onnx, {modules(*words)}")

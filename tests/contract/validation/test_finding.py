@@ -17,7 +17,8 @@ def test_severities_and_levels_are_ordered_and_read_in_any_case():
 @pytest.mark.parametrize(
     ("kind", "word", "text"),
     [
-        (Severity, "fatal", "x: unknown severity 'fatal'\n  Known: error, info, warning."),
+        (Severity, "mild", "x: unknown severity 'mild'\n  Known: error, info, warning."),
+        (Severity, "fatal", "x: unknown severity 'fatal'\n  Did you mean 'error'?"),
         (Severity, "warn", "x: unknown severity 'warn'\n  Did you mean 'warning'?"),
         (Level, "behavior", "x: unknown level 'behavior'\n  Did you mean 'behaviour'?"),
     ],
