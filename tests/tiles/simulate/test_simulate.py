@@ -3,16 +3,18 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
-from gsgen.tiles.simulate.client import Simulation, simulate
+from gsgen.tiles.simulate.client import Policy, Simulation, simulate
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
 from gsgen.tiles.simulate.tables import read_path, read_trace
 from support.commands import gsgen_here
@@ -236,3 +238,26 @@ def test_a_wrong_path_is_named_with_its_line(tmp_path: Path, rows: str, message:
     result = gsgen_here("tiles", "simulate", tileset, *options)
     assert result.code == 2
     assert "constant-velocity" in result.err
+
+
+@pytest.mark.parametrize("policy", ["reactive", "predictive"])
+def test_qualities_give_whole_pictures_sooner(
+    tmp_path: Path, tree: TileTree, policy: Policy
+) -> None:
+    """Each tile comes at its coarsest file, and its finest follows: to a camera that stands."""
+    sizes = tree.size[:, None] * np.array([1.0, 0.7, 0.5])
+    worth = np.tile([1.0, 0.98, 0.95], (len(tree), 1))
+    ladder = QualityLadder(files=(), size=sizes.round(), worth=worth)
+    [pose] = read_path(write_rows(tmp_path / "path.csv", PATH_HEADER, JOURNEYS["street"][:1]))
+    path = [replace(pose, time=0.1 * frame) for frame in range(300)]
+    trace = RateTrace(np.array([0.0]), np.array([250_000.0]))
+    plain, layered = (
+        simulate(tree, path, trace, ladder=entry, policy=policy, view=SMALL_VIEW)
+        for entry in (None, ladder)
+    )
+    assert plain.share_loaded[-1] == layered.share_loaded[-1] == 1
+    assert layered.metrics.first_good_s < plain.metrics.first_good_s
+    assert layered.metrics.mean_delay_s < 0.8 * plain.metrics.mean_delay_s
+    # The drawn tiles come twice, those above them once, at half of their bytes.
+    assert 0.5 * plain.metrics.bytes < layered.metrics.bytes < 1.5 * plain.metrics.bytes
+    assert layered.metrics.requests > plain.metrics.requests

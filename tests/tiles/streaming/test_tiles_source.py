@@ -18,6 +18,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.loading.leaves import open_splats
+from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.streaming import tiles_source
 from gsgen.tiles.streaming.session import SessionOptions, open_session
@@ -61,6 +62,26 @@ def test_a_complete_cut_of_leaves_is_the_picture_of_all_splats(
     assert frame.visible == expected.visible
     assert psnr(frame.rgba, expected.rgba) > 60
     source.close()
+
+
+def test_tiles_of_a_film_come_before_their_frames(town: Path) -> None:
+    """Over a slow network, a session that knows the cameras has the tiles of the next frame."""
+    first = Camera.look_at((9, -7, 4), (9, -14, 4), up=(0, 0, 1), width=96, height=64)
+    frustums = [Frustum.from_camera(camera) for camera in (first, VIEW)]
+    hits = []
+    for is_known in (False, True):
+        with served(town, NetworkFaults(latency=0.01)) as address:
+            options = SessionOptions(max_error=4.0, cache_bytes=0, fade_seconds=0)
+            session = open_session(f"{address}tileset.json", options)
+            if is_known:
+                session.expect(frustums)
+            for _ in range(60):
+                frame = session.frame(frustums[0])
+                session.wait(0.05)
+            assert frame.is_complete
+            hits.append(session.frame(frustums[1]).missing == 0)
+            session.close()
+    assert hits == [False, True]
 
 
 def test_no_frame_writes_more_than_the_upload_budget(

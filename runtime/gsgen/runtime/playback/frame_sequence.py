@@ -171,6 +171,10 @@ class FrameSequence(Playback):
 
     def _draw_frames(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
         on_frame(1)
+        if self.frames > 1 and any(source.pools for source in self.sources):
+            cameras = [request.camera for request in self.frame_requests()]
+            for source in self.sources:
+                source.expect(cameras)
         for number, frame in enumerate(self.player.play(self.frame_requests())):
             self._last_frame = frame
             yield frame

@@ -109,6 +109,11 @@ class PlacedSource(Source):
             antialias=self.antialias,
         )
 
+    def expect(self, cameras: Sequence[Camera]) -> None:
+        """Prepare the placed source for the cameras of all frames to come."""
+        transform = self._placement_transform
+        self._wrapped_source.expect([local_camera(camera, transform) for camera in cameras])
+
     @property
     def count(self) -> int:
         """The number of Gaussians that the current frame of the file or model may draw."""

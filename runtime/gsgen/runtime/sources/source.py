@@ -124,6 +124,9 @@ class Source(ABC):
     def abandon(self) -> None:
         """Wait for the frame that :meth:`start` requested, and discard its result or error."""
 
+    def expect(self, cameras: Sequence[Camera]) -> None:  # noqa: B027 - a file has all
+        """Prepare for the cameras of all frames to come, in their order."""
+
     def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
         """Stop computing the frame that :meth:`start` requested, which then fails."""
 

@@ -1,13 +1,13 @@
 """Prefetching: which tiles will the camera need soon, by predicted poses or a known path?"""
 
-__all__ = ["HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
+__all__ = ["FilmPrefetch", "HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import Predictor
@@ -22,6 +22,9 @@ HORIZON_FRACTIONS: Final = (0.125, 0.25, 0.5, 1.0)
 """Of the horizon: the moments whose cameras are predicted."""
 PLAN_INTERVAL_SECONDS: Final = 0.1
 """Seconds between two predictions of the tiles that will be seen."""
+
+
+_MOST_FILM_TILES: Final = 16  # that are looked for at once
 
 
 @final
@@ -109,6 +112,51 @@ class HorizonPrefetch:
             cut = cut_tree(self._tree, frustum, self._max_error)
             order.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
         return list(order)
+
+
+@final
+class FilmPrefetch:
+    """Prefetches the tiles of the frames to come, in the order of the frames.
+
+    Args:
+        tree: The tiles.
+        frustums: Of all frames, in order.
+        max_error: Screen-space error above which tiles are refined, in pixels.
+        slots: Slots of GPU memory that each tile needs.
+        capacity: Slots for the tiles of the frames ahead: more would displace each other.
+    """
+
+    def __init__(
+        self,
+        tree: TileTree,
+        frustums: Sequence[Frustum],
+        max_error: float,
+        slots: Int64[np.ndarray, " n"],
+        capacity: int,
+    ) -> None:
+        self._tree, self._max_error, self._slots = tree, max_error, slots
+        self._frames, self._capacity = list(frustums), capacity
+
+    def observe(self, pose: Pose) -> None:
+        """Forget the frames up to the one that is drawn now."""
+        for index, frustum in enumerate(self._frames):
+            if np.array_equal(frustum.eye, pose.position):
+                del self._frames[:index]
+                return
+
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return the missing tiles of the frames to come, the earliest first, as far as they fit."""
+        ahead = np.zeros(len(self._tree), bool)
+        tiles: dict[int, None] = {}
+        for frustum in self._frames:
+            cut = cut_tree(self._tree, frustum, self._max_error)
+            ahead |= cut.seen
+            if int(self._slots[ahead].sum()) > self._capacity:
+                break
+            tiles.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
+            if sum(not loaded[tile] for tile in tiles) >= _MOST_FILM_TILES:
+                break
+        return [tile for tile in tiles if not loaded[tile]]
 
 
 @final

@@ -15,15 +15,17 @@ The reactive client is normative. Frames are the rows of the path. At each frame
 __all__ = ["PREFETCH_POLICIES", "Simulation", "policy_named", "simulate"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, final
 
 import numpy as np
 
+from gsgen.tiles.loading.quality_ladder import QualityLadder, TileQualities
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import ConstantVelocity, Predictor
 from gsgen.tiles.prediction.prefetch import HorizonPrefetch, PathPrefetch, Prefetch, ViewSettings
-from gsgen.tiles.selection.cut import cut_tree
+from gsgen.tiles.selection.cut import TileCut, cut_tree
+from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
@@ -63,6 +65,7 @@ def simulate(
     path: Sequence[Pose],
     trace: RateTrace,
     *,
+    ladder: QualityLadder | None = None,
     policy: Policy = "reactive",
     predictor: Callable[[], Predictor] = ConstantVelocity,
     view: ViewSettings | None = None,
@@ -77,6 +80,8 @@ def simulate(
         tree: The tiles.
         path: Frames of the camera; times ascend.
         trace: Rate of the network, on the same clock.
+        ladder: The files of the tiles at several qualities: the coarsest come first, finer ones
+            while nothing seen is missing. None for one file each, of the size that the tree tells.
         policy: ``reactive`` asks for seen tiles, ``predictive`` also for tiles that a predictor
             expects to be seen, ``oracle`` for those that the path itself will see.
         predictor: Makes the predictor of the predictive policy.
@@ -86,7 +91,11 @@ def simulate(
     """
     view = view or ViewSettings()
     clock = VirtualClock(path[0].time)
-    link = SimulatedLink(clock, trace, tree.size, rtt=rtt, connections=connections)
+    qualities = TileQualities(ladder) if ladder else None
+    if qualities:
+        tree = replace(tree, size=qualities.coarsest_size.copy())
+    next_size = tree.size.copy()  # of the file that is requested next
+    link = SimulatedLink(clock, trace, next_size, rtt=rtt, connections=connections)
     recorder = MetricsRecorder(tree.parent, tree.size)
     prefetch: Prefetch | None = None
     if policy == "predictive":
@@ -96,16 +105,32 @@ def simulate(
     planner = RequestPlanner(tree, link, recorder, prefetch)
     loaded = np.array([not tile.contents for tile in tree.tiles])
     drawn_shares, received = [], []
+    cut: TileCut | None = None
+    eye = path[0].position
+
+    def finer_tiles() -> list[int]:
+        if qualities is None or cut is None:
+            return []
+        drawn = cut.selected & loaded
+        order = finer_file_order(tree, qualities.ladder, qualities.gpu_quality, drawn, eye)
+        return [int(tile) for tile in order]
+
     for pose in path:
         while (tile_delivery := link.advance(pose.time)) is not None:
-            loaded[tile_delivery.tile] = True
-            planner.arrive(tile_delivery.tile, tile_delivery.time)
-            planner.fill(loaded)
-        frustum = view.frustum(pose.position, pose.quaternion)
+            tile = tile_delivery.tile
+            loaded[tile] = True
+            if qualities:
+                quality = qualities.next_quality(tile)
+                tree.size[tile] = qualities.size(tile, quality)
+                qualities.gpu_quality[tile] = quality
+                next_size[tile] = qualities.size(tile, 0)
+            planner.arrive(tile, tile_delivery.time)
+            planner.fill(loaded, finer_tiles())
+        frustum, eye = view.frustum(pose.position, pose.quaternion), pose.position
         cut = cut_tree(tree, frustum, view.max_error)
         recorder.frame(pose.time, cut, loaded)
         planner.frame(pose, cut, loaded)
-        planner.fill(loaded)
+        planner.fill(loaded, finer_tiles())
         count = int(cut.selected.sum())
         drawn_shares.append(int((cut.selected & loaded).sum()) / count if count else 1.0)
         received.append(recorder.bytes)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, PathPrefetch, Prefetch
+from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, FilmPrefetch, PathPrefetch, Prefetch
 from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -72,8 +72,7 @@ class RequestPlanner:
         self, tree: TileTree, link: Link, recorder: MetricsRecorder, prefetch: Prefetch | None
     ) -> None:
         self._tree, self._fetch_link, self._recorder = tree, link, recorder
-        self._prefetch = prefetch
-        self._is_bounded = not isinstance(prefetch, PathPrefetch)
+        self.prefetch(prefetch)
         self._requested_tiles: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
         self._purpose_by_pending_tile: dict[int, _RequestPurpose] = {}
         self._ledger = _PrefetchLedger(tree.size)
@@ -82,6 +81,11 @@ class RequestPlanner:
     def in_flight(self) -> frozenset[int]:
         """The tiles that were requested and have not arrived."""
         return frozenset(self._purpose_by_pending_tile)
+
+    def prefetch(self, prefetch: Prefetch | None) -> None:
+        """Prefetch as ``prefetch`` says from now on. Nothing is wasted along paths that are known."""
+        self._prefetch = prefetch
+        self._is_bounded = not isinstance(prefetch, PathPrefetch | FilmPrefetch)
 
     def frame(self, pose: Pose, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Set the tiles that a new frame needs, and cancel prefetches that delay these tiles.
@@ -154,6 +158,11 @@ class RequestPlanner:
             return missing[0], "needed"
         if not loaded[self._requested_tiles].all():
             return None, "needed"
+        finer = next(
+            (tile for tile in finer_tiles if tile not in self._purpose_by_pending_tile), None
+        )
+        if finer is not None and isinstance(self._prefetch, FilmPrefetch):
+            return finer, "finer"  # a frame of a film waits for it
         # 2. The most urgent tile that will be seen, if its expected waste is within the bound.
         candidates = self._prefetch.candidates(loaded) if self._prefetch else []
         for tile in candidates:
@@ -162,9 +171,7 @@ class RequestPlanner:
                     return tile, "prefetched"
                 break
         # 3. The finer file that shows most for its bytes.
-        return next(
-            (tile for tile in finer_tiles if tile not in self._purpose_by_pending_tile), None
-        ), "finer"
+        return finer, "finer"
 
     def _can_prefetch(self, size: int) -> bool:
         """Return whether one more prefetch keeps the expected share of unused bytes low enough."""

@@ -2,7 +2,7 @@
 
 __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
@@ -20,7 +20,7 @@ from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.prediction.predictors import predictor_maker
-from gsgen.tiles.prediction.prefetch import HorizonPrefetch
+from gsgen.tiles.prediction.prefetch import FilmPrefetch, HorizonPrefetch
 from gsgen.tiles.selection.cut import TileCut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import finer_file_order
@@ -321,6 +321,12 @@ class TilesetSession:
         if self._log:
             self._log.frame(time, frustum, self._started_requests, received, frame)
         return frame
+
+    def expect(self, frustums: Sequence[Frustum]) -> None:
+        """Prefetch along the cameras of frames to come, which will be drawn in this order."""
+        capacity = self.pool_slots
+        film = FilmPrefetch(self.tree, frustums, self._options.max_error, self._slots, capacity)
+        self._planner.prefetch(film)
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""

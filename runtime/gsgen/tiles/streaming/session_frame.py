@@ -17,6 +17,7 @@ tiles in depth-first order and never change; a tile that was evicted may arrive 
 
 __all__ = ["DrawnTile", "SessionFrame", "StreamingSession", "TileArrival"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, final
 
@@ -147,6 +148,10 @@ class StreamingSession(Protocol):
         Args:
             frustum: Of the camera, in the root tile's frame: ``Frustum.from_camera``.
         """
+        ...
+
+    def expect(self, frustums: Sequence[Frustum]) -> None:
+        """Prefetch along the cameras of frames to come, which will be drawn in this order."""
         ...
 
     def wait(self, seconds: float) -> None:

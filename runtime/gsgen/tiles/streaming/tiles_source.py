@@ -4,7 +4,7 @@ __all__ = ["TilesSource", "open_stream"]
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, final
 
@@ -97,6 +97,11 @@ class TilesSource(Source):
         """Record the frame's camera, which selects the tiles, and the models' input values."""
         self._camera = None if camera is None else local_camera(camera, self._scene_transform)
         self._values |= values
+
+    def expect(self, cameras: Sequence[Camera]) -> None:
+        """Prefetch the tiles of frames to come, while the network is idle."""
+        local = [local_camera(camera, self._scene_transform) for camera in cameras]
+        self._session.expect([Frustum.from_camera(camera) for camera in local])
 
     def finish(self) -> None:
         """Receive the tiles that arrived; if a waiting time is set, wait for all needed tiles."""

@@ -85,6 +85,7 @@ def simulate(
     from gsgen.cli.commands.drawing.opening import confined_models
     from gsgen.contract.process.atomic_files import refuse_itself
     from gsgen.contract.process.limits import FRAME_SECONDS, Limits
+    from gsgen.tiles.loading.quality_ladder import quality_ladder
     from gsgen.tiles.loading.tileset_loader import load_tileset
     from gsgen.tiles.prediction.predictors import PREDICTORS_BY_NAME, predictor_maker
     from gsgen.tiles.prediction.prefetch import ViewSettings
@@ -106,7 +107,8 @@ def simulate(
     poses, trace = read_path(path), read_trace(network)
     store, index = open_store(tileset)
     with store:
-        tree = TileTree.of_tileset(load_tileset(store, index, name=tileset), store)
+        loaded = load_tileset(store, index, name=tileset)
+        tree, ladder = TileTree.of_tileset(loaded, store), quality_ladder(loaded)
     policies = (
         client.PREFETCH_POLICIES
         if policy is PolicyName.ALL_POLICIES
@@ -118,6 +120,7 @@ def simulate(
                 tree,
                 poses,
                 trace,
+                ladder=ladder,
                 policy=entry,
                 predictor=make_predictor,
                 view=ViewSettings(width=width, height=height, fov_y=fov, max_error=sse),
