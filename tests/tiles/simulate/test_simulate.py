@@ -12,10 +12,13 @@ import pytest
 from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.loading.tileset_loader import open_tileset
 from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.predictor import ConstantVelocity
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.client import Policy, Simulation, simulate
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
+from gsgen.tiles.simulate.prediction_error import prediction_error
+from gsgen.tiles.simulate.report import metrics_document
 from gsgen.tiles.simulate.tables import read_path, read_trace
 from support.commands import gsgen_here
 from support.tiles.journeys import (
@@ -261,3 +264,34 @@ def test_qualities_give_whole_pictures_sooner(
     # The drawn tiles come twice, those above them once, at half of their bytes.
     assert 0.5 * plain.metrics.bytes < layered.metrics.bytes < 1.5 * plain.metrics.bytes
     assert layered.metrics.requests > plain.metrics.requests
+
+
+def test_prediction_errors_are_those_of_the_motion(tree: TileTree) -> None:
+    """Steady motion is predicted exactly; a camera that gains speed is farther each moment."""
+    identity = np.array([1.0, 0, 0, 0])
+    times = np.arange(0, 8, 0.125)
+    steady = [Pose(time, np.array([3 * time, 1.0, 2.0]), identity) for time in times.tolist()]
+    actual = prediction_error(tree, steady, ConstantVelocity(), SMALL_VIEW)
+    assert (actual.ade, actual.fde, actual.turn) == pytest.approx((0, 0, 0), abs=1e-9)
+    assert actual.coverage == 1
+    gaining = [replace(pose, position=np.array([pose.time**2, 0, 2])) for pose in steady]
+    actual = prediction_error(tree, gaining, ConstantVelocity(), SMALL_VIEW)
+    # x = t², of which the predictor sees the speed 2 t − w over the window w: half a second at first,
+    # then a frame more, eleven moments in all.
+    windows = np.array([0.5, *[0.625] * 10])[:, None]
+    ahead = np.array([0.25, 0.5, 1.0, 2.0])
+    errors = ahead**2 + windows * ahead
+    assert actual.ade == pytest.approx(errors.mean())
+    assert actual.fde == pytest.approx(errors[:, -1].mean())
+    assert 0 <= actual.coverage <= 1
+    still = prediction_error(tree, steady[:1], ConstantVelocity(), SMALL_VIEW)
+    assert np.isnan(still.ade)
+
+
+def test_simulate_reports_prediction_beside_hits(tmp_path: Path, tree: TileTree) -> None:
+    documents = {
+        policy: metrics_document(run(tmp_path, tree, "orbit", "20", policy, 40))
+        for policy in ("reactive", "predictive")
+    }
+    assert "prediction" not in documents["reactive"]
+    assert documents["predictive"]["prediction"].keys() == {"ade", "fde", "turn", "coverage"}

@@ -28,6 +28,7 @@ from gsgen.tiles.selection.cut import TileCut, cut_tree
 from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
+from gsgen.tiles.simulate.prediction_error import PredictionError, prediction_error
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.planner import RequestPlanner
 
@@ -51,6 +52,7 @@ class Simulation:
         times: Of the frames, in seconds.
         share_loaded: Share of the wanted tiles that were there, of each frame.
         received: Bytes received up to each frame.
+        prediction: How far predicted cameras were from the path; None of other policies.
     """
 
     policy: Policy
@@ -58,6 +60,7 @@ class Simulation:
     times: tuple[float, ...]
     share_loaded: tuple[float, ...]
     received: tuple[int, ...]
+    prediction: PredictionError | None = None
 
 
 def simulate(
@@ -140,4 +143,7 @@ def simulate(
         times=tuple(pose.time for pose in path),
         share_loaded=tuple(drawn_shares),
         received=tuple(received),
+        prediction=prediction_error(tree, path, predictor(), view)
+        if policy == "predictive"
+        else None,
     )

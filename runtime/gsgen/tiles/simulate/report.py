@@ -20,6 +20,11 @@ def metrics_document(simulation: Simulation) -> JsonDict:
     metrics = asdict(simulation.metrics)
     if math.isnan(metrics["first_good_s"]):
         metrics["first_good_s"] = None
+    if simulation.prediction:
+        errors = asdict(simulation.prediction).items()
+        metrics["prediction"] = {
+            name: None if math.isnan(value) else value for name, value in errors
+        }
     return {"policy": simulation.policy, **metrics}
 
 
