@@ -1,8 +1,8 @@
 """The main thread of a page while a PLY file loads: its longest task, and its rest afterwards.
 
-Tasks are told by CPU time, which does not depend on what else the machine does. Memory, and the
-first picture beside other engines, are in ``bench_peers.py``: for the large file alone,
-``GSGEN_PEERS="gsgen playcanvas" make bench`` with ``-k 1m``.
+Tasks are told by CPU time, which does not depend on what else the machine does. Memory and the first
+picture beside other engines are in ``bench_peers.py``; with ``GSGEN_PEERS="gsgen playcanvas"`` and
+``-k 1m`` it measures the large file beside PlayCanvas alone.
 """
 
 import json

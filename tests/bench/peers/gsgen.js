@@ -20,6 +20,7 @@ async function open(canvas, src, camera, onFrame) {
   };
   element.style.cssText = "display: block; width: 640px; height: 360px";
   element.setAttribute("background", "black");
+  element.minRenderScale = 1; // other engines draw all pixels, too
   const { azimuth, elevation, radius, target } = camera.orbit;
   element.cameraOrbit = `${azimuth} ${elevation} ${radius}`;
   element.cameraTarget = target.join(" ");
