@@ -196,7 +196,7 @@ def test_a_splat_covers_what_its_formula_says() -> None:
     spread = [(lens * sigma / distance) ** 2 for lens in (1.5, 1.0)]
     sharpness = np.sqrt(np.prod(spread) / np.prod([s + blur for s in spread]))
     squares = x**2 / (spread[0] + blur) + y**2 / (spread[1] + blur)
-    np.testing.assert_allclose(coverage, opacity * sharpness * np.exp(-squares / 2), atol=1e-12)
+    np.testing.assert_allclose(coverage, opacity * sharpness * np.exp(-squares / 2), atol=1e-6)
     np.testing.assert_allclose(depth[coverage > 1e-6], distance)
 
 

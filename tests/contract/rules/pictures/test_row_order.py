@@ -9,6 +9,7 @@ import pytest
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
 from gsgen.conformance.fixtures.builders.scenes import Kind, model_of_gaussians, pack, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.conformance.fixtures.pictures.poses import arms_on_a_trunk
 from gsgen.contract.probing.drawn_sample import spatial_groups
 from gsgen.contract.spec.manifest import Bounds, CountOutput, Input
 from gsgen.contract.validator import validate
@@ -232,3 +233,12 @@ def test_spatial_groups_are_a_partition_into_boxes(count: int) -> None:
     assert all(8 <= len(group) < 16 for group in groups) or count < 16
     boxes = [np.ptp(position[group], axis=0).prod() for group in groups]
     assert sum(boxes) <= np.ptp(position, axis=0).prod() * (1 + 1e-9)
+
+
+def test_covariances_of_one_arm_that_stay_are_noticed(tmp_path: Path) -> None:
+    model = arms_on_a_trunk.draw()
+    body = "both = MatMul (half, back)"
+    turned = "all_turned = MatMul (half, back) both = Where (is_left_arm, sigma, all_turned)"
+    is_left_arm = (model.weights["limb"] == 1)[:, None, None]
+    torn = model.replace_text(body, turned).with_weights(is_left_arm=is_left_arm)
+    assert findings(torn, tmp_path, "GB035") == {"GB035"}

@@ -120,7 +120,7 @@ _MIN_SEPARATION = 0.9
 # it is this many times as far. Right levels draw as many or more, reversed ones 0.1 to 0.4.
 _MIN_DETAIL_SHARE, _MIN_DETAIL_ROWS, _MIN_DISTANCE_RATIO = 0.5, 24, 1.8
 # Rows and pictures at most that are drawn.
-_PICTURE_ROWS, _PICTURE_COUNT = 1024, 8
+_PICTURE_ROWS, _PICTURE_COUNT = 1024, 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,9 +271,12 @@ def _read_scene(behaviour: Behaviour) -> _Scene | None:
     # Rows that move with the camera, such as those of a sky, are drawn at other places each time.
     stays = counts >= _MIN_SEEING_CAMERAS
     known, union = known[stays], union[stays]
+    ends = np.cumsum([len(own_keys) for own_keys in keys])[:-1]
     near = _NEAR_SHARE * SceneExtent.from_manifest(manifest).radius
     sights = []
-    for (probe, own_rows), own_keys in zip(drawn, keys, strict=True):
+    for (probe, own_rows), own_keys, own in zip(drawn, keys, np.split(inverse, ends), strict=True):
+        is_drawn = np.zeros(len(stays), bool)
+        is_drawn[own] = True
         view = view_of_probe(manifest, probe)
         if view is None:
             return None
@@ -286,7 +289,7 @@ def _read_scene(behaviour: Behaviour) -> _Scene | None:
                 probe=probe,
                 rows=own_rows.astype(np.float64),
                 keys=own_keys,
-                is_drawn=np.isin(known, own_keys),
+                is_drawn=is_drawn[stays],
                 is_in_view=np.abs(place).max(axis=1) <= _MAX_VIEW_SHARE,
                 depth=depth,
                 place=place,

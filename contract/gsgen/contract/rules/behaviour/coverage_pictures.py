@@ -1,4 +1,4 @@
-"""Draws how opaque a picture of packed rows is, and how deep: coarse, in float64, without colours."""
+"""Draws how opaque a picture of packed rows is, and how deep: coarse, and without colours."""
 
 __all__ = ["Lens", "Projected", "draw_coverage", "lens_of_probe", "project", "view_of_probe"]
 
@@ -116,7 +116,8 @@ def draw_coverage(
     opacity = packed[:, OPACITY] * np.sqrt(sharp / determinant)
     conic = np.stack([spread[:, 1, 1], -spread[:, 0, 1], spread[:, 0, 0]], axis=1)
     conic /= determinant[:, None]
-    center = (2 * np.arange(_SIDE) + 1) / _SIDE - 1
+    center = (2 * np.arange(_SIDE, dtype=np.float32) + 1) / _SIDE - 1
+    place, conic, opacity = (array.astype(np.float32) for array in (place, conic, opacity))
     transmittance, coverage = np.ones((_SIDE, _SIDE)), np.zeros((_SIDE, _SIDE))
     depth_sum = np.zeros((_SIDE, _SIDE))
     for start in range(0, len(packed), _BLOCK_ROWS):
