@@ -271,12 +271,14 @@ class _OrderedCommand(TyperCommand):
     def _with_named_options(self, ctx: Any, args: list[str]) -> list[str]:
         """Return the arguments with ``--checkpoint`` or ``--output`` before a word that names such.
 
-        They may be left out where a command has no argument for the word. A command whose last
-        argument is TARGET takes ``--output`` in its place.
+        They may be left out where a command has no argument for the word, and ``--checkpoint`` may
+        be typed before one. A command whose last argument is TARGET takes ``--output`` in its place.
         """
-        values, extra_words, _ = self.make_parser(ctx).parse_args(args=list(args))
         names = {parameter.name for parameter in self.params}
         arguments = [item.name for item in self.params if item.param_type_name == "argument"]
+        if arguments and "checkpoint" not in names:  # which is the argument here
+            args = [word for word in args if word != "--checkpoint"]
+        values, extra_words, _ = self.make_parser(ctx).parse_args(args=list(args))
         if arguments[-1:] == ["target"] and values.get("output"):
             return [*args, values["output"]]
         for name in ("checkpoint", "output"):

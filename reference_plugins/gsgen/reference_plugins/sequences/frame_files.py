@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.errors import InputUnreadable
 from gsgen.formats import PackedRows
 from gsgen.formats.shared.origins import Origin
 from gsgen.reference_plugins.static.static import from_content
@@ -27,7 +27,7 @@ class FrameFiles:
         """Return the files that a folder, a pattern or a list of files names.
 
         Raises:
-            ConfigInvalid: A folder holds no sequence.
+            InputUnreadable: A folder holds no sequence.
         """
         paths: list[Path] = []
         for entry in entries:
@@ -35,7 +35,7 @@ class FrameFiles:
             if entry.is_dir() and not files:
                 message = "is not a folder of two or more numbered splat files of one kind"
                 hint = "Name the files in order, or a pattern such as frames/%04d.ply."
-                raise ConfigInvalid(message, where=str(entry), hint=hint)
+                raise InputUnreadable(message, where=str(entry), hint=hint)
             paths += files or [entry]
         first = open_splats(paths[0])
         return cls(tuple(paths), None if isinstance(first, PackedRows) else first.origin)
