@@ -5,6 +5,7 @@ import re
 import sys
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from docs_parts.tables import table
 from gsgen.contract.validation.rule import Rule
 
 # Rules and what they alone share: numbers of other rooms are in tables of the specification.
-_ROOM: Final = "gsgen.contract.rules."
+_ROOMS: Final = ("gsgen.contract.rules.", "gsgen.contract.causes.")
 _CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]+")
 # Names of what values are compared with; others are sizes of tensors and of blocks of memory.
 _COMPARED = re.compile(
@@ -32,19 +33,21 @@ class _Module:
 
 @cache
 def _module(name: str) -> _Module:
-    """Read a module that is imported already."""
-    path = Path(str(sys.modules[name].__file__))
+    """Read a module; imports within functions count as those at its top."""
+    path = Path(str(import_module(name).__file__))
     text = path.read_text("utf-8")
     lines = text.splitlines()
     comments: dict[str, str] = {}
     names: dict[str, frozenset[str]] = {}
     imports: dict[str, str] = {}
     last_line, last_comment = 0, ""
-    for node in ast.parse(text).body:
-        used = frozenset(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             imports |= {alias.asname or alias.name: node.module for alias in node.names}
-        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+    for node in tree.body:
+        used = frozenset(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             names[node.name] = used
         elif isinstance(node, (ast.Assign, ast.AnnAssign)):
             start = node.lineno - 1
@@ -81,7 +84,7 @@ def thresholds(rule: Rule) -> list[tuple[str, str, str]]:
     while pending:
         where = pending.pop()
         module_name, name = where
-        if where in seen or not module_name.startswith(_ROOM):
+        if where in seen or not module_name.startswith(_ROOMS):
             continue
         seen.add(where)
         module = _module(module_name)

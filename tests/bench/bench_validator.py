@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import onnx.parser
 import pytest
 
 from gsgen.conformance.fixtures import find
@@ -120,8 +121,9 @@ def bench_static_on_a_large_model(large: Path) -> None:
     assert ours <= 0.3 * load
 
 
-def bench_memory_of_static_on_a_large_model(large: Path) -> None:
-    command = [sys.executable, "-m", "gsgen.cli", "validate", "--level", "static", str(large)]
+def peak_megabytes(level: str, path: Path) -> float:
+    """Return the peak memory of the largest process of ``gsgen validate``, in megabytes."""
+    command = [sys.executable, "-m", "gsgen.cli", "validate", "--level", level, str(path)]
     # Started by a small process: a child begins with the peak of the process that it came from.
     launch = (
         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, "
@@ -131,9 +133,59 @@ def bench_memory_of_static_on_a_large_model(large: Path) -> None:
     completed = subprocess.run(
         [sys.executable, "-c", launch, *command], check=True, capture_output=True, text=True
     )
-    peak = int(completed.stdout) * 1024 / 1e6
+    return int(completed.stdout) * 1024 / 1e6
+
+
+def bench_memory_of_static_on_a_large_model(large: Path) -> None:
+    peak = peak_megabytes("static", large)
     print_figure(f"peak memory of the whole process, 232 MB model: {peak:.0f} MB (bar 150)")
     assert peak <= 150
+
+
+def external_weights(path: Path, kind: str) -> float:
+    """Write a model of 480 MiB of external weights, used as ``kind`` says; return their megabytes."""
+    model, size = find("drift").draw().build(), 2048
+    graph = model.graph
+    [last] = [node for node in graph.node if "color" in node.output]
+    last.output[0] = "flat"
+    values = {"ones": np.ones((1, size), np.float32), "tiny": np.float32([1e-3])}
+    values["shape"] = np.array([1, 1])
+    graph.initializer.extend(onnx.numpy_helper.from_array(v, name) for name, v in values.items())
+    nodes = ["moment = Reshape (time, shape)", "x0 = Mul (moment, ones)"]
+    rng, offset = np.random.default_rng(0), 0
+    with (path.parent / "weights.bin").open("wb") as file:
+        for index in range(30):
+            data = (rng.standard_normal((size, size), np.float32) / 50).tobytes()
+            file.write(data)
+            name, tensor = f"w{index}", graph.initializer.add()
+            tensor.name, tensor.data_type, tensor.data_location = name, 1, 1
+            tensor.dims.extend([size, size])
+            facts = {"location": "weights.bin", "offset": str(offset), "length": str(len(data))}
+            for key, value in facts.items():
+                tensor.external_data.add(key=key, value=value)
+            offset += len(data)
+            if kind == "transposed":
+                nodes.append(f"{name}t = Transpose <perm = [1, 0]> ({name})")
+                name += "t"
+            if kind == "scaled":
+                nodes.append(f"{name}s = Mul ({name}, tiny)")
+                name += "s"
+            nodes.append(f"x{index + 1} = MatMul (x{index}, {name})")
+    nodes += ["mean = ReduceMean <keepdims = 1> (x30)", "shade = Mul (mean, tiny)"]
+    nodes.append("color = Add (flat, shade)")
+    graph.node.extend(onnx.parser.parse_node(node) for node in nodes)
+    path.write_bytes(model.SerializeToString())
+    return offset / 1e6
+
+
+@pytest.mark.parametrize("kind", ["plain", "transposed", "scaled"])
+def bench_memory_of_values_on_external_weights(tmp_path: Path, kind: str) -> None:
+    weights = external_weights(tmp_path / "large.onnx", kind)
+    peak = peak_megabytes("values", tmp_path / "large.onnx")
+    bar = 1.2 * weights + 500
+    print_figure(f"level values, {weights:.0f} MB of external weights, {kind}: peak {peak:.0f} MB")
+    print_figure(f"  {peak / weights:.2f} × the weights (bar {bar:.0f} MB)")
+    assert peak <= bar
 
 
 def values_seconds(path: Path) -> tuple[float, str]:

@@ -73,9 +73,11 @@ def expected_findings(path: Path, target_name: str) -> list[dict[str, str]]:
 
 
 def without_syntax(findings: list[dict[str, str]]) -> list[dict[str, str]]:
-    """Return findings without the browser's or Python's own words on JSON."""
+    """Return findings without the browser's or Python's own words and places of JSON's syntax."""
     return [
-        finding | {"expected": _SYNTAX} if finding["expected"].startswith(_SYNTAX) else finding
+        finding | {"expected": _SYNTAX, "actual": finding["actual"].replace("^", "")[-8:]}
+        if finding["expected"].startswith(_SYNTAX)
+        else finding
         for finding in findings
     ]
 

@@ -14,15 +14,18 @@ __all__ = [
     "for_yaml",
     "is_plain_name",
     "printable",
+    "read_utf8",
     "safe_json",
     "without_commands",
 ]
 
+import codecs
 import html
 import json
 import re
 import shlex
 import unicodedata
+from pathlib import Path
 from typing import Any, Final
 
 # Characters without a glyph that Python calls printable: joiners, fillers, variation selectors.
@@ -34,6 +37,19 @@ _WORKFLOW_COMMAND_PATTERN: Final = re.compile(r"(?m)^(\s*):(?=:)")
 _OLD_COMMAND: Final = re.compile(r"#(?=#\[)")
 _MARKUP: Final = re.compile(r"([\\`*_\[\]<>|~@&#])")
 _SHELL_ESCAPES: Final = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\t": r"\t"}
+
+
+def read_utf8(path: Path) -> str:
+    """Return the text of a file that a user wrote, without a byte order mark.
+
+    Raises:
+        OSError: The file cannot be read.
+        UnicodeError: It is not UTF-8; the message names UTF-16, which some shells write.
+    """
+    content = path.read_bytes()
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise UnicodeError("it is text in UTF-16, expected UTF-8")
+    return content.decode("utf-8-sig")
 
 
 def printable(text: str, *, kept_chars: str = "") -> str:

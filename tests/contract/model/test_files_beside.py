@@ -113,3 +113,32 @@ def test_a_file_of_two_names_is_refused_with_both_counts(tmp_path):
     (tmp_path / "b.png").hardlink_to(tmp_path / "a.png")
     with pytest.raises(FileRefused, match="2 names"):
         find_contained_file(tmp_path / "model.onnx", "a.png")
+
+
+@pytest.mark.parametrize(
+    ("location", "name", "words"),
+    [
+        ("weights.bin", "Weights.bin", "'Weights.bin' is there, which differs in case"),
+        ("my%20weights.bin", "my weights.bin", "percent-encoded, and 'my weights.bin' is there"),
+        ("data\\weights.bin", "data/weights.bin", "backslashes, and 'data/weights.bin' is there"),
+        ("weights.bin", "other.bin", "no such file (weight"),
+    ],
+)
+def test_a_near_name_of_missing_weights_is_said(tmp_path, location, name, words):
+    path = write_right_model(tmp_path / "a.onnx", location)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_bytes(ROWS.tobytes())
+    (finding,) = validate(path, STATIC).findings
+    assert finding.rule == "GS001"
+    assert words in finding.message
+
+
+@pytest.mark.parametrize("padding", [0, 1 << 12])
+def test_a_pointer_of_git_lfs_is_named_also_if_it_is_long_enough(tmp_path, padding):
+    path = write_right_model(tmp_path / "a.onnx")
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + bytes(padding)
+    (tmp_path / FILE).write_bytes(pointer)
+    (finding,) = validate(path, STATIC).findings
+    assert "is a git LFS pointer" in finding.message
+    with pytest.raises(FileRefused, match="git lfs pull"):
+        require_loadable(path)

@@ -76,6 +76,7 @@ def test_last_value_of_a_repeated_metadata_key_wins(tmp_path):
         (b"\x80\x02}q\x00.", "is not an ONNX model but a pickle"),
         (b"<!DOCTYPE html><html></html>", "is not an ONNX model but a web page (HTML)"),
         (b'{"contract": "1.0"}', "is not an ONNX model but a JSON document"),
+        (b"\x18\0\0\0ORTM" + bytes(64), "is not an ONNX model but a model in ONNX Runtime's own"),
         (
             b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n",
             "is not an ONNX model but a git LFS pointer\n  The file itself is not here: fetch it with `git lfs pull`.",

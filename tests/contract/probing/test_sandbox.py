@@ -452,6 +452,22 @@ def test_the_job_is_plain_data(folder):
     }
 
 
+FOLDED = model("""
+look (float[1, 2] x) => (float[1, 2] y) <float[2, 2] w = {1, 2, 3, 4}> {
+    turned = Transpose (w)
+    y = MatMul (x, turned)
+}
+""")
+
+
+@pytest.mark.parametrize("maps_weights", [False, True])
+def test_mapped_weights_give_the_same_outputs(folder, maps_weights):
+    path = save(folder / "a.onnx", FOLDED)
+    x = np.float32([[1, 2]])
+    with execute(path, ["y"], [probe(x=x)], Limits(), maps_weights=maps_weights) as execution:
+        np.testing.assert_array_equal(execution.samples[0].outputs["y"], [[5, 11]])
+
+
 ROOT_OF_INDEX = model("""
 look (float[1] x) => (float[1] y) <float[2] table = {1, 4}> {
     row = Cast <to = 6> (x)

@@ -25,7 +25,7 @@ def test_several_models_begin_with_a_table(reports):
     assert head[4:] == [
         "| `good.onnx` | ✅ conforms | 0 | 0 |",
         "| `broken.onnx` | ❌ invalid | 2 | 1 |",
-        "| `foreign.onnx` | ❌ invalid | 3 | 2 |",
+        "| `foreign.onnx` | ❌ invalid | 3 | 1 |",
         r"| `a\|b.onnx` | ⛔ unreadable | | |",
     ]
     assert page.endswith("### ⛔ `a|b.onnx`\n\n`a|b.onnx: is empty`")

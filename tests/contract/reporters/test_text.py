@@ -156,9 +156,9 @@ def test_quiet_is_a_line_a_model(reports):
     entries = [reports["good"], Unreadable("a.onnx", error), reports["broken"]]
     lines = [line.text for line in render_all(entries, quiet=True)]
     assert lines == [
-        "good.onnx: conforms: 34 rules hold; 2 not applicable",
-        "broken.onnx: invalid: 29 rules hold; 2 errors; 1 warning; ignored: GV018; "
-        "1 waived; 2 not applicable",
+        "good.onnx: conforms: 33 rules hold; 3 not applicable",
+        "broken.onnx: invalid: 28 rules hold; 2 errors; 1 warning; ignored: GV018; "
+        "1 waived; 3 not applicable",
         "3 models: 1 conforms, 1 invalid, 1 unreadable",
     ]
 

@@ -84,7 +84,7 @@ def test_an_input_without_axes_keeps_its_shape():
                 "schema", "outputs.gaussians", "no field 'capacity'", "'capacity' to be present"
             ),
         ),
-        ({"blend": "add"}, ManifestComplaint("schema", "blend", "add", "one of alpha, wsr")),
+        ({"blend": "add"}, ManifestComplaint("schema", "blend", '"add"', "one of alpha, wsr")),
         (
             {"space": {"upp": "-y", "x-a": 1}},
             ManifestComplaint(
@@ -96,9 +96,7 @@ def test_an_input_without_axes_keeps_its_shape():
         ),
         (
             {"name": ""},
-            ManifestComplaint(
-                "schema", "name", "an empty text", "What people call the model. (minLength 1)"
-            ),
+            ManifestComplaint("schema", "name", '""', "What people call the model. (minLength 1)"),
         ),
         ({"inputs": [{"name": "t", "role": "clock"}]}, "inputs.0.role"),
         ({"kind": "generator"}, "kind"),
@@ -173,6 +171,27 @@ def test_a_manifest_without_a_version_is_refused():
     assert complaint('{"kind": "post-process"}').actual == "nothing"
 
 
+@pytest.mark.parametrize(
+    ("document", "actual", "reason"),
+    [
+        ('{"a": 1 "b": 2}', '{"a": 1 ^"b": 2}', "delimiter"),
+        ('{\n"a": tru}', '{ "a": ^tru}', "value"),
+        ('{"b": [' + "1, " * 99 + "]}", "1, 1, ^]}", "value"),
+        ('\ufeff{"a": 1}', '{"a": 1}', "byte order mark"),
+        ('{"a": 1}'.encode("utf-16").decode("latin-1"), "ÿþ{", "this is UTF-16"),
+    ],
+)
+def test_a_syntax_error_shows_its_place(document, actual, reason):
+    fault = complaint(document)
+    assert actual in fault.actual
+    assert reason in fault.expected
+
+
+@pytest.mark.parametrize("value", ["true", "1.0", "null", ""])
+def test_texts_keep_their_quotes(value):
+    assert complaint(text(blend=value)).actual == json.dumps(value)
+
+
 @pytest.mark.parametrize("version", ["2.0", "0.9", "17.3"])
 def test_another_major_version_is_refused(version):
     parsed = parse(text(contract=version))
@@ -227,8 +246,8 @@ def test_reading_a_wrong_text_lists_every_complaint():
     with pytest.raises(ManifestInvalid) as caught:
         loads(text(blend="add", antialias="none"))
     assert str(caught.value) == (
-        "manifest: antialias: none, expected one of classic, mip; "
-        "blend: add, expected one of alpha, wsr"
+        'manifest: antialias: "none", expected one of classic, mip; '
+        'blend: "add", expected one of alpha, wsr'
     )
 
 

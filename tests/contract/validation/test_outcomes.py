@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.outcomes import ResultCollector
@@ -182,6 +182,20 @@ def test_findings_come_worst_first_then_in_order_of_the_catalogue():
     ]
     findings = check_rules(board(*rules), *rules).findings()
     assert [finding.rule for finding in findings] == ["GV901", "GV903", "GV902", "GV900"]
+
+
+def test_what_runs_showed_stands_above_remarks_on_the_file_and_the_likely_first():
+    def possible(_):
+        yield Violation.at("a", "b", "c", certainty="possible")
+
+    remark = made_up("GV901", breaking, severity=Severity.WARNING)
+    guess = made_up("GV902", possible, severity=Severity.ERROR, level=Level.VALUES)
+    sure = made_up("GV903", breaking, severity=Severity.WARNING, level=Level.VALUES)
+    fault = made_up("GV904", breaking, severity=Severity.ERROR)
+    rules = (remark, guess, sure, fault)
+    findings = check_rules(board(*rules), *rules).findings()
+    assert [finding.rule for finding in findings] == ["GV904", "GV903", "GV902", "GV901"]
+    assert findings[2].severity is Severity.WARNING  # a guess alone makes no model invalid
 
 
 def test_an_ignored_rule_is_found_but_waived():

@@ -170,8 +170,12 @@ def test_a_file_that_is_not_there_is_an_error(tmp_path):
 
 
 def test_undecodable_file_is_an_error(tmp_path):
-    (tmp_path / "gsgen.toml").write_bytes(b"\xff\xfe")
+    path = tmp_path / "gsgen.toml"
+    path.write_bytes(b"\xff")
     with pytest.raises(ConfigInvalid, match="the settings file is not TOML: 'utf-8' codec"):
+        read_config(path, REGISTRY)
+    path.write_text("level = 'static'", "utf-16")
+    with pytest.raises(ConfigInvalid, match="it is text in UTF-16, expected UTF-8"):
         read_config(tmp_path / "gsgen.toml", REGISTRY)
 
 

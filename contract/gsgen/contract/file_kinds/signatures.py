@@ -22,6 +22,7 @@ _RESAVE_HINT = "Load it with torch, and save it again: `torch.save(torch.load(OL
 _PICKLE_HINT = (
     "Only checkpoints of `torch.save` are read: save the tensors with torch 1.6 or later."
 )
+_ORT_HINT = "Name the ONNX model that it was converted from; an ORT file cannot be turned back."
 _SAVE_TENSORS_HINT = "Save the tensors as a 3DGS PLY, or in a checkpoint of gsplat."
 
 # Offset and bytes → name, title, hint; the first match counts.
@@ -75,6 +76,7 @@ _FILE_SIGNATURES: Final[tuple[tuple[int, bytes, str, str, str], ...]] = (
     (0, b"SQLite format 3", "sqlite", "an SQLite database, such as COLMAP's", ""),
     (0, b"%PDF", "pdf", "a PDF document", ""),
     (0, b"\x7fELF", "program", "a program or library", ""),
+    (4, b"ORTM", "ort", "a model in ONNX Runtime's own format (ORT)", _ORT_HINT),
     (4, b"TFL3", "tflite", "a TensorFlow Lite model", "Convert it to ONNX."),
     (0, b"NGSP", "spz", "an SPZ file of splats", SPLATS),
     (0, b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", "old-torch", "a checkpoint of torch before 1.6", _RESAVE_HINT),

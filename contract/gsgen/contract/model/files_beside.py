@@ -16,6 +16,7 @@ __all__ = [
 import os
 import stat
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from urllib.parse import unquote
 
 from onnx import TensorProto
 
@@ -24,6 +25,8 @@ from gsgen.contract.model.graph import stored_bytes
 from gsgen.contract.model.model_file import ExternalRef, ModelFile, open_model, parse_length
 
 _FILE_BESIDE_MODEL = "a file beside the model"
+_MISSING = "no such file"
+_LFS_POINTER = b"version https://git-lfs"
 # ONNX Runtime takes this name for an address in its memory; Windows allows no such name.
 _REFUSED_LOCATION_CHARACTER = "*"
 
@@ -77,7 +80,7 @@ def _look_up_file(model: Path, location: str) -> Path | tuple[str, str]:
             return f"is a link to {path}", "a file below the model's folder"
         status = path.stat()  # tells why, where Path.is_file of Python 3.14 is False
     except (FileNotFoundError, NotADirectoryError):
-        return "no such file", _FILE_BESIDE_MODEL
+        return _MISSING, _FILE_BESIDE_MODEL
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
         return f"cannot be looked up: {reason}", _FILE_BESIDE_MODEL
@@ -111,7 +114,7 @@ def loaded_files(file: ModelFile) -> list[Path]:
 def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
     """Return the faults of external weights by location: the actual state, and the expected one.
 
-    No byte of these files is read.
+    Of these files the first bytes alone are read.
     """
     faults: dict[str, tuple[str, str]] = {}
     for ref, tensor in zip(file.external, file.external_tensors, strict=True):
@@ -124,8 +127,18 @@ def weight_faults(file: ModelFile) -> dict[str, tuple[str, str]]:
 def _weight_fault(model: Path, ref: ExternalRef, tensor: TensorProto) -> tuple[str, str] | None:
     lookup_result = _look_up_file(model, ref.location)
     if not isinstance(lookup_result, Path):
+        actual, expected = lookup_result
+        if actual == _MISSING:
+            actual += _near_name(model, ref.location)
         weight = f" (weight {ref.tensor!r})" if ref.location else ""
-        return f"{lookup_result[0]}{weight}", lookup_result[1]
+        return f"{actual}{weight}", expected
+    try:
+        with lookup_result.open("rb") as file:
+            if file.read(len(_LFS_POINTER)) == _LFS_POINTER:
+                actual = "is a git LFS pointer, not the file: fetch it with `git lfs pull`"
+                return actual, "the weights"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}", _FILE_BESIDE_MODEL
     size = lookup_result.stat().st_size
     for entry in tensor.external_data:
         if entry.key in ("offset", "length") and parse_length(entry.value) is None:
@@ -138,6 +151,24 @@ def _weight_fault(model: Path, ref: ExternalRef, tensor: TensorProto) -> tuple[s
     if payload and ref.length not in (None, payload):
         return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     return None
+
+
+def _near_name(model: Path, location: str) -> str:
+    """Return a file beside a model that has another spelling than a missing one; or empty."""
+    spellings = {
+        "the location is percent-encoded": unquote(location),
+        "the location has backslashes": location.replace("\\", "/"),
+    }
+    for reason, spelling in spellings.items():
+        if spelling != location and isinstance(_look_up_file(model, spelling), Path):
+            return f"; {reason}, and {spelling!r} is there"
+    folder = (model.parent / location).parent
+    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+    name = PurePosixPath(location).name
+    for other_name in names:
+        if other_name.casefold() == name.casefold():
+            return f"; {other_name!r} is there, which differs in case"
+    return ""
 
 
 def require_loadable(path: Path) -> Path:

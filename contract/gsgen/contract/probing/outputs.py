@@ -5,14 +5,17 @@ __all__ = ["CHUNK_ROWS", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.field_order import FieldOrder, suspect_order
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
 from gsgen.contract.spec.manifest import AppearanceOutput
+
+if TYPE_CHECKING:
+    from gsgen.contract.causes.readings import Explanation, SeenRows
 
 # Rows checked at a time: their unpacked columns stay in the second-level cache.
 CHUNK_ROWS = 16384
@@ -40,6 +43,7 @@ class ModelOutputs:
         declared: The declaration of the appearance.
         subject: The model.
         cells: The packed cells, or None if the output is absent or malformed.
+        cameras: The rows of runs that differ in the camera alone.
     """
 
     probe: str
@@ -51,6 +55,7 @@ class ModelOutputs:
     declared: AppearanceOutput | None
     subject: InspectedModel
     cells: Float[np.ndarray, "c 10"] | None = None
+    cameras: "tuple[SeenRows, ...]" = ()
 
     @property
     def rows_label(self) -> str:
@@ -87,24 +92,32 @@ class ModelOutputs:
         return sample if finite.all() else np.asarray(sample[finite])
 
     @cached_property
-    def field_order(self) -> FieldOrder | None:
-        """The column layout that fits the Gaussians better than the declared one; or None."""
+    def explanation(self) -> "Explanation | None":
+        """The reading in which the rows are Gaussians of one scene, unlike as declared; or None."""
         if self.gaussians is None or self.zeros:
             return None
+        from gsgen.contract.causes.explanations import explain_rows
+
         step = max(1, self.count // _ORDER_SAMPLE)
         generator = getattr(self.subject, "generator", None)
         bounds = generator.bounds if generator is not None else None
         planes = self.gaussians.reshape(ROW_LENGTH, -1).T[: self.count : step]
-        return suspect_order(
+        return explain_rows(
             self.gaussians[: self.count : step].astype(np.float64),
             (bounds.min, bounds.max) if bounds is not None else None,
             planes.astype(np.float64),
             rounding_error=_HALF_FLOAT16_STEP if self.gaussians.dtype == np.float16 else 0.0,
+            cameras=self.cameras,
         )
 
 
 def read_outputs(
-    subject: InspectedModel, probe: str, outputs: dict[str, np.ndarray], *, zeros: bool = False
+    subject: InspectedModel,
+    probe: str,
+    outputs: dict[str, np.ndarray],
+    *,
+    zeros: bool = False,
+    cameras: "tuple[SeenRows, ...]" = (),
 ) -> ModelOutputs:
     """Assign the outputs of a model run to the roles that the manifest declares.
 
@@ -113,6 +126,7 @@ def read_outputs(
         probe: The label of the probe.
         outputs: Name → array.
         zeros: Whether all inputs of the probe are zero.
+        cameras: The rows of runs that differ in the camera alone.
     """
 
     def take_output(name: str | None) -> np.ndarray | None:
@@ -142,6 +156,7 @@ def read_outputs(
         declared=declared,
         subject=subject,
         cells=cells,
+        cameras=cameras,
     )
 
 

@@ -1,6 +1,14 @@
 """Plans the order of all test inputs, so that one inference session serves all rules."""
 
-__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_dtypes", "probed_shapes"]
+__all__ = [
+    "Plan",
+    "fetched_outputs",
+    "make_plan",
+    "maps_weights",
+    "probed_bytes",
+    "probed_dtypes",
+    "probed_shapes",
+]
 
 import math
 from collections.abc import Iterator
@@ -29,6 +37,8 @@ _DEFAULT_OPEN_SIZE = 64
 # Odd height and width of one more run of an image model of open size.
 _ODD_IMAGE_SIZE = (37, 53)
 _IMAGE_RANK = 4
+# Copies of so many bytes of weights would take more memory than ONNX Runtime itself.
+_LARGE_WEIGHT_BYTES = 1 << 28
 # Groups of moments whose runs hold for every rule of single runs.
 _MOMENT_GROUPS = (
     *("defaults", "frames", "survey", "screens", "pictures", "corners", "open sizes", "histories"),
@@ -154,6 +164,20 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
     declared = [graph.output(name) for name in subject.output_names]
     tensors = [tensor for tensor in declared if tensor] or graph.outputs
     return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE_DTYPES]
+
+
+def maps_weights(subject: InspectedModel) -> bool:
+    """Return whether the model is run with weights as mapped files, without copies of them.
+
+    Constants are then not folded, and ONNX Runtime 1.31 leaves out a Transpose before a MatMul with
+    a vector: models that may hold one are run as usual.
+    """
+    tensors = subject.graph.tensors
+    operands = (n for node in subject.graph.nodes if node.op_type == "MatMul" for n in node.input)
+    ranks = (len(tensors[n].dims or ()) if n in tensors else 0 for n in operands)
+    if subject.graph.functions or any(rank < 2 for rank in ranks):
+        return False
+    return subject.file.weight_bytes >= _LARGE_WEIGHT_BYTES
 
 
 def _shape_for_probes(entry: Input, tensor: Tensor) -> tuple[int, ...]:

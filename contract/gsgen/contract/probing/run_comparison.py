@@ -1,17 +1,33 @@
 """The input of behaviour rules: several runs of a model, compared output by output."""
 
-__all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "read_behaviour"]
+__all__ = [
+    "Behaviour",
+    "Comparison",
+    "ProbeRun",
+    "ProbeRuns",
+    "isolated_views",
+    "read_behaviour",
+    "read_seen_rows",
+]
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.differences import largest_difference, paired_blocks
 from gsgen.contract.probing.probe_plan import Plan
-from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.probes import Probe, as_tensor
 from gsgen.contract.probing.sandbox import Execution, RowCount, Sample
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW_LENGTH
+
+if TYPE_CHECKING:
+    from gsgen.contract.causes.readings import SeenRows
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,3 +223,59 @@ def _compare(trial: ProbeRuns, first: int, second: int) -> Comparison:
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and all(x.tobytes() == y.tobytes() for x, y in paired_blocks(a, b))
+
+
+def read_seen_rows(probe_runs: ProbeRuns, index: int) -> "SeenRows | None":
+    """Return the Gaussians that one run shows to its camera; None without a camera or rows."""
+    from gsgen.contract.causes.readings import SeenRows
+
+    subject, probe = probe_runs.subject, probe_runs.plan.probes[index]
+    run = probe_runs.execution.runs[index] if index < len(probe_runs.execution.runs) else None
+    declared, count = subject.declared_gaussians, subject.declared_count
+    if run is None or run.sample < 0 or declared is None or count is None:
+        return None
+    outputs = probe_runs.execution.samples[run.sample].outputs
+    rows, live = outputs.get(declared.name), outputs.get(count.name)
+    is_packed = rows is not None and rows.ndim == 2 and rows.shape[1] == ROW_LENGTH
+    if not is_packed or rows is None or live is None or not live.size:
+        return None
+    view, projection = _input_matrix(probe_runs, probe, "view"), None
+    if view is not None:
+        projection = _input_matrix(probe_runs, probe, "projection")
+    centers = subject.inputs_of("camera_position")
+    if view is None and not centers:
+        return None
+    # Runs that differ in one role alone differ in the view, where there is one.
+    center = -view[:3, :3].T @ view[:3, 3] if view is not None else None
+    if center is None:
+        center = probe.inputs[centers[0][0].name].astype(np.float64).reshape(-1)
+    drawn = np.asarray(rows[:, OPACITY] >= CULL_OPACITY)
+    live_share = max(0, int(live.reshape(-1)[0])) / max(declared.capacity, 1)
+    drawn[math.ceil(live_share * len(rows)) :] = False  # of many rows, a part was kept
+    position = rows[:, POSITION].astype(np.float64)
+    return SeenRows(center=center, view=view, projection=projection, position=position, drawn=drawn)
+
+
+def _input_matrix(
+    probe_runs: ProbeRuns, probe: Probe, role: str
+) -> Float[np.ndarray, "4 4"] | None:
+    subject = probe_runs.subject
+    entries = subject.inputs_of(role)
+    space = subject.generator.space if subject.generator else None
+    order = space.matrix_order if space else "column"
+    if not entries:
+        return None
+    return as_tensor(probe.inputs[entries[0][0].name], order).astype(np.float64)
+
+
+def isolated_views(probe_runs: ProbeRuns) -> "tuple[SeenRows, ...]":
+    """Return cameras and Gaussians of all model runs whose inputs differ in the camera alone."""
+    plan, manifest = probe_runs.plan, probe_runs.subject.manifest
+    roles = {entry.role for entry in manifest.inputs} if manifest else set()
+    role = "view" if "view" in roles else "camera_position"
+    base, variants = plan.variants.get(role, (0, ()))
+    indices = [base, *variants] if variants else []
+    if not indices and roles <= set(CAMERA_ROLES):
+        indices = [index for index in range(plan.values) if not plan.probes[index].zeros]
+    seen_rows = (read_seen_rows(probe_runs, index) for index in indices)
+    return tuple(entry for entry in seen_rows if entry is not None)

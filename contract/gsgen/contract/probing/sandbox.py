@@ -139,6 +139,7 @@ def execute(
     per_cell: int = 0,
     has_gpu: bool = False,
     trusted: bool = False,
+    maps_weights: bool = False,
     **options: object,
 ) -> Iterator[Execution]:
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
@@ -155,6 +156,7 @@ def execute(
         per_cell: Rows of each cell.
         has_gpu: Allow the worker the devices of GPUs.
         trusted: Do not confine the child, whose time alone is limited.
+        maps_weights: Read weights from mapped files, without packed and folded copies.
         options: What that worker wants to know besides; anything that JSON can hold.
 
     A model that is unreadable, or whose external weights must not be read, is a fault of loading;
@@ -179,6 +181,7 @@ def execute(
         "has_gpu": has_gpu,
         "trusted": trusted,
         "readable": [str(path) for path in readable],
+        "maps_weights": maps_weights,
     }
     with temporary_folder() as folder:
         try:

@@ -106,7 +106,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     center: np.ndarray | None = None
     inputs_of = input_reader(folder, job)
     try:
-        session = _session(job["model"], emit)
+        session = _session(job, emit)
         for probe in range(len(job["probes"])):
             emit("begin", probe=probe)
             extra = job["extra"][probe]
@@ -117,7 +117,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
                 if job["optimise"][probe] is not is_optimised:
                     is_optimised = job["optimise"][probe]
                     del session  # first, so that two of them never need memory at once
-                    session = _session(job["model"], emit, optimise=is_optimised)
+                    session = _session(job, emit, optimise=is_optimised)
                 inputs = inputs_of(probe)
                 placement, facts = job["placements"][probe], dict[str, object]()
                 if placement is not None and center is not None:
@@ -161,7 +161,7 @@ def _run_probes(folder: Path, job: dict[str, Any], emit: EmitMessage) -> int:
     return 0
 
 
-def _session(model: str, emit: EmitMessage, *, optimise: bool = True) -> Any:
+def _session(job: dict[str, Any], emit: EmitMessage, *, optimise: bool = True) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -169,9 +169,17 @@ def _session(model: str, emit: EmitMessage, *, optimise: bool = True) -> Any:
     if not optimise:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
+    disabled_optimizers = []
+    if job.get("maps_weights"):
+        options.add_session_config_entry("session.disable_prepacking", "1")
+        disabled_optimizers.append("ConstantFolding")
     start_seconds = time.perf_counter()
-    source = model_source(model)
-    session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        model_source(job["model"]),
+        options,
+        providers=["CPUExecutionProvider"],
+        disabled_optimizers=disabled_optimizers,
+    )
     emit("loaded", seconds=time.perf_counter() - start_seconds)
     return session
 

@@ -125,12 +125,13 @@ def _parse_document(text: str) -> ParsedManifest:
         )
         json.dumps(document, ensure_ascii=False).encode()  # half a surrogate pair cannot be encoded
     except ValueError as error:
-        return _failed_parse("syntax", "", _shorten(text), f"a JSON document ({error})")
+        reason = _encoding_fault(text) or str(error)
+        return _failed_parse("syntax", "", _excerpt(text, reason), f"a JSON document ({reason})")
     if not isinstance(document, dict):
-        return _failed_parse("schema", "", _shorten(document), "a JSON object")
+        return _failed_parse("schema", "", _json_text(document), "a JSON object")
     version = _version(document.get("contract"))
     if version is None:
-        actual = _shorten(document.get("contract", "nothing"))
+        actual = _json_text(document["contract"]) if "contract" in document else "nothing"
         return _failed_parse("version", "contract", actual, 'a version such as "1.0"')
     if version[0] != CURRENT_VERSION[0]:
         manifest_complaint = ManifestComplaint(
@@ -144,7 +145,7 @@ def _parse_body(document: dict[str, Any], version: Version) -> ParsedManifest:
     kind = document.get("kind")
     if kind not in MANIFEST_KINDS:
         return _failed_parse(
-            "schema", "kind", _shorten(kind), f"one of {', '.join(MANIFEST_KINDS)}"
+            "schema", "kind", _json_text(kind), f"one of {', '.join(MANIFEST_KINDS)}"
         )
     is_newer_version = version > CURRENT_VERSION and version not in UPGRADE_BY_VERSION
     document = upgrade(document, version)
@@ -224,10 +225,34 @@ def _version_text(version: Version) -> str:
     return f"{version[0]}.{version[1]}"
 
 
-def _shorten(value: object) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+def _json_text(value: object) -> str:
+    """Return a value as JSON has it, so that a text is told from a number; shortened."""
+    return _shorten(json.dumps(value, ensure_ascii=False, default=str))
+
+
+def _shorten(text: str) -> str:
     text = text.encode(errors="replace").decode() or "an empty text"
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _encoding_fault(text: str) -> str:
+    """Return how a document is encoded that is not UTF-8 without a byte order mark, or no text."""
+    if "\0" in text[:4]:
+        return "this is UTF-16: store it as UTF-8"
+    if text.startswith("\ufeff"):
+        return "it begins with a byte order mark: store it as UTF-8 without one"
+    return ""
+
+
+def _excerpt(text: str, reason: str) -> str:
+    """Return the part of a document that a message on its syntax is about, ^ before the place."""
+    match = re.search(r"(?:char|position) (\d+)", reason)
+    if match is None or not text:
+        return _shorten(text)
+    place = int(match[1])
+    begin = max(0, place - 40)
+    excerpt = f"{text[begin:place]}^{text[place : place + 20]}".replace("\n", " ")
+    return excerpt.encode(errors="replace").decode()
 
 
 def _fault_path(fault: SchemaFault) -> tuple[str | int, ...]:
@@ -259,11 +284,11 @@ def _complaint_from_fault(fault: SchemaFault) -> ManifestComplaint:
         )
     if fault.validator == "enum":
         options = ", ".join(str(option) for option in fault.validator_value)
-        return ManifestComplaint("schema", where, _shorten(fault.instance), f"one of {options}")
+        return ManifestComplaint("schema", where, _json_text(fault.instance), f"one of {options}")
     fault_detail = f"{fault.validator} {fault.validator_value}"
     return ManifestComplaint(
         "schema",
         where,
-        _shorten(fault.instance),
+        _json_text(fault.instance),
         f"{expected} ({fault_detail})" if expected else fault_detail,
     )

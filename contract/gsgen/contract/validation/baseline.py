@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path, PurePath
 from typing import Any
 
+from gsgen.contract._safe_text import read_utf8
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE, Report, ResolvedFinding
@@ -76,7 +77,7 @@ def read_baseline(path: Path) -> Baseline:
     """
     where = str(path)
     try:
-        document = json.loads(path.read_text("utf-8"))
+        document = json.loads(read_utf8(path))
     except OSError as error:
         raise ConfigInvalid(
             f"the baseline cannot be read: {error.strerror}", where=where

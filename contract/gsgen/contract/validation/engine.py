@@ -18,9 +18,14 @@ from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.drawn_sample import MIN_DRAWN_ROWS, draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs, Rows, chunks, read_outputs
-from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
-from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
-from gsgen.contract.probing.sandbox import Execution, Run, execute
+from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan, maps_weights
+from gsgen.contract.probing.run_comparison import (
+    Behaviour,
+    ProbeRuns,
+    isolated_views,
+    read_behaviour,
+)
+from gsgen.contract.probing.sandbox import Run, execute
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
 from gsgen.contract.validation.finding import Finding, Violation
@@ -177,6 +182,7 @@ class _Validation:
             count=count.name if count else "",
             cells=cells.name if cells else "",
             per_cell=cells.per_cell if cells else 0,
+            maps_weights=maps_weights(self.subject),
         ) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
@@ -195,7 +201,7 @@ class _Validation:
                     self.results.settle([rule], items=len(execution.runs))
             if self.results.outcomes[MODEL_RUNS].status == "pass":
                 self.progress("checking values")
-                self._check_values(execution, plan)
+                self._check_values(probe_runs)
                 if level >= Level.BEHAVIOUR:
                     self._check_behaviour(probe_runs)
                 self._check_backend_levels(probe_runs)
@@ -219,7 +225,9 @@ class _Validation:
                 self.levels.append(LevelOutcome(level=level, ran=not reason, reason=message))
         return not reason
 
-    def _check_values(self, execution: Execution, plan: Plan) -> None:
+    def _check_values(self, probe_runs: ProbeRuns) -> None:
+        execution, plan = probe_runs.execution, probe_runs.plan
+        cameras = isolated_views(probe_runs)
         output_rules = self.results.ready_rules(
             self._rules_of_scope("emission", max_level=Level.VALUES)
         )
@@ -235,7 +243,9 @@ class _Validation:
             visited_samples.add(run.sample)
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
-            emission = read_outputs(self.subject, probe.label, outputs, zeros=probe.zeros)
+            emission = read_outputs(
+                self.subject, probe.label, outputs, zeros=probe.zeros, cameras=cameras
+            )
             output_rules = [
                 rule for rule in output_rules if self.results.check(rule, emission, probe.label)
             ]

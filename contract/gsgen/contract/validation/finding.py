@@ -129,11 +129,16 @@ class Violation:
         magnitude: Float[np.ndarray, " n"] | None = None,
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
+        cause: tuple[str, str] | None = None,
     ) -> "Violation":
-        """Return a rule violation by packed rows: the mask of invalid rows, and their values."""
+        """Return a rule violation by packed rows: the mask of invalid rows, and their values.
+
+        ``cause`` is the likely mistake, and the repair that was tried on the rows.
+        """
         return cls(
             where=where,
-            expected=expected,
+            expected=expected if cause is None else f"{expected}; {': '.join(cause)}",
+            hint="" if cause is None else f"{cause[1][0].upper()}{cause[1][1:]}.",
             invalid_rows=invalid_rows,
             checked=checked,
             values=values,

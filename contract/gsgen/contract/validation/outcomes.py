@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gsgen.contract._entry_points import plugin_exits_as_errors
-from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Finding, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter
 from gsgen.contract.validation.report import Outcome, Status
@@ -182,17 +182,29 @@ class ResultCollector:
         return outcome is not None and outcome.status == "fail"
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return all findings, the most severe first, then in the order of the rule catalogue."""
+        """Return all findings: the most severe first, then the likeliest, then in catalogue order.
+
+        Of one severity, what runs of the model showed stands above remarks on its file.
+        """
         findings = [
             self._finding_of_rule(rule, counter)
             for rule in self.registry.rules.values()
             for counter in self._counters_by_rule.get(rule.id, {}).values()
             if counter.has_failing_finding
         ]
-        return tuple(sorted(findings, key=lambda finding: -finding.severity))
+        return tuple(sorted(findings, key=self._rank))
+
+    def _rank(self, finding: Finding) -> tuple[int, bool, bool]:
+        is_remark = (
+            finding.severity < Severity.ERROR
+            and self.registry.rules[finding.rule].level is Level.STATIC
+        )
+        return -finding.severity, is_remark, finding.certainty == "possible"
 
     def _finding_of_rule(self, rule: Rule, counter: FindingCounter) -> Finding:
         severity: Severity = self.settings.severity_of(rule)
+        if counter.certainty == "possible":
+            severity = min(severity, Severity.WARNING)  # it alone makes no model invalid
         source = "contract"
         if rule.target or rule.limit or rule.id in self.settings.target.severities:
             source = self.settings.target.label

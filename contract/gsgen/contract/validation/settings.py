@@ -12,6 +12,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from gsgen.contract._safe_text import read_utf8
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.fields.json_schema import SCHEMA_DIALECT, schema_of
@@ -108,12 +109,12 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
     """
     where = str(path)
     try:
-        data = tomllib.loads(path.read_text("utf-8"))
+        data = tomllib.loads(read_utf8(path))
     except OSError as error:
         raise ConfigInvalid(
             f"the settings file cannot be read: {error.strerror}", where=where
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeError) as error:
         raise ConfigInvalid(f"the settings file is not TOML: {error}", where=where) from error
     if path.name == PYPROJECT:
         data, where = data.get("tool", {}).get("gsgen", {}), f"{where}, tool.gsgen"

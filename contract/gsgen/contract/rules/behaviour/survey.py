@@ -9,6 +9,12 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import AT_MOMENTS, FINITE_OUTPUTS, ORDERED_ROWS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
+# What divides by zero in models that read pictures, in place of a distance to the camera.
+_PICTURE_HINT = (
+    "Find the division, logarithm or norm that sees a black pixel or a picture of one colour, and "
+    "clamp before it."
+)
+
 
 @rule(
     "GB043", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"), kinds=MANIFEST_KINDS
@@ -32,7 +38,8 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
         problem = "not finite" if first.not_finite else first.error
         share = f"{len(failed_runs)} of {len(runs)} named moments"
         actual = f"{problem} at {first.probe.label!r}, {share}"
-        yield Violation.at(where, actual, "finite values everywhere")
+        hint = _PICTURE_HINT if behaviour.subject.inputs_of("image") else ""
+        yield Violation.at(where, actual, "finite values everywhere", hint=hint)
 
 
 @rule(

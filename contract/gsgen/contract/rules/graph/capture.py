@@ -260,6 +260,7 @@ def _range_violation(placement: Placement, span: Interval | None) -> Violation:
     Severity.WARNING,
     kinds=MANIFEST_KINDS,
     needs=("GG019",),
+    limit=_CAPTURE_REQUIREMENT,
     settled_by=("GB014", "GB016", "GB011"),
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:

@@ -161,7 +161,7 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
         role that exists but that no input has is harmless, and probably a remainder.
 
     Hint:
-        Write the name or the role as it stands in the inputs, or remove the entry.
+        Remove the entry, or write the name or the role as it stands in the inputs.
     """
     generator = subject.generator
     if generator is None or subject.candidate is not None:

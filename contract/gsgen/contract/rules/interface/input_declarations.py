@@ -204,7 +204,8 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
         and the speed of frames / fps is wrong.
 
     Hint:
-        Declare "range": [0, frames - 1] for a frame index; the range [0, 1] belongs to a time.
+        Declare as many "frames" as the range has whole numbers or, where the model has more,
+        "range": [0, frames - 1]; the range [0, 1] belongs to a time.
     """
     for entry in declared_inputs(subject):
         if entry.role != "frame_index" or entry.range is None or entry.frames is None:

@@ -40,6 +40,13 @@ def _shape_text(tensor: Tensor) -> str:
     return "[" + ", ".join("?" if dim is None else str(dim) for dim in tensor.dims) + "]"
 
 
+# For kinds of models whose manifests have no `depends_on`.
+_BAKED_INPUT_HINT = (
+    "Export without detaching the input (numpy round trips, `.item()`, Python branches), or "
+    "remove it from the model and the manifest."
+)
+
+
 @rule("GI001", Severity.ERROR, needs=("GM004",))
 def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `view` has the static shape [4, 4].
@@ -216,6 +223,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
                 f"input {entry.name}",
                 "no output depends on it",
                 "an input that some output depends on",
+                hint="" if generator is not None else _BAKED_INPUT_HINT,
             )
 
 

@@ -16,6 +16,10 @@ from gsgen.contract.validation.rule import rule
 
 # A manifest names its kind within so many characters.
 _MANIFEST_OPENING = 1 << 16
+_BAKED_INPUT_HINT = (
+    "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round "
+    "trips, `.item()`, Python branches), or remove it from the manifest."
+)
 
 
 @rule("GM001", Severity.ERROR, kinds=MANIFEST_KINDS)
@@ -116,10 +120,14 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     graph = subject.graph
     inputs, outputs = [t.name for t in graph.inputs], [t.name for t in graph.outputs]
     declared = [i.name for i in manifest.inputs]
+    are_all_declared = all(name in declared for name in inputs)
     for name in declared:
         if name not in inputs:
             yield Violation.at(
-                f"manifest input {name!r}", "no such graph input", _one_of_names_text(inputs)
+                f"manifest input {name!r}",
+                "no such graph input",
+                _one_of_names_text(inputs),
+                hint=_BAKED_INPUT_HINT if are_all_declared else "",
             )
     for name in subject.output_names:
         if name not in outputs:

@@ -6,7 +6,6 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
-from gsgen.contract.rules.values.range_diagnosis import diagnose_rgb
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.finding import Location, Violation
@@ -47,9 +46,11 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     in_range_mask = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
     is_inferred = rows.emission.subject.candidate is not None
     invalid = rows.drawn & ~in_range_mask
-    expected = f"{low:g} <= rgb <= {high:g}"
+    expected, cause = f"{low:g} <= rgb <= {high:g}", None
     if invalid.any():
-        expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
+        from gsgen.contract.causes.activations import explain_rgb
+
+        cause = explain_rgb(rgb[rows.drawn], low, high)
     yield Violation.rows(
         Location(rows.emission.color_label, "rgb"),
         invalid,
@@ -58,6 +59,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
         checked=rows.drawn_count,
         magnitude=np.nan_to_num(np.abs(rgb - 0.5).max(axis=1)),
         certainty="possible" if is_inferred else "confirmed",
+        cause=cause,
     )
 
 

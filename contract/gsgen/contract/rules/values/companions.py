@@ -76,7 +76,10 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if not has_fitting_shape or (value.shape[0], *value.shape[2:]) != expected_size:
             times = f"{scale} times " if scale > 1 else ""
             expected = f"{times}the size of the input, {height} × {width}, with 3 or 4 channels"
-            yield Violation.at(f"output {name}", f"shape {list(value.shape)}", expected)
+            are_channels_last = value.ndim == 4 and value.shape[3] in IMAGE_CHANNELS
+            hint = "Channels come first: end on `permute(0, 3, 1, 2)`." if are_channels_last else ""
+            actual = f"shape {list(value.shape)}"
+            yield Violation.at(f"output {name}", actual, expected, hint=hint)
             return
 
 

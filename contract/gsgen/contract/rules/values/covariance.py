@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract.probing.outputs import Rows
-from gsgen.contract.rules.values.range_diagnosis import diagnose_variances
 from gsgen.contract.spec.geometry import PSD_FLOOR, PSD_SLACK, clearly_positive, smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
@@ -26,16 +25,19 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     """
     min_variance = rows.covariance[[0, 3, 5]].min(axis=0)
     invalid = rows.drawn & ~(min_variance >= 0)
-    expected = "xx, yy, zz >= 0"
+    cause = None
     if invalid.any():
-        expected += diagnose_variances(rows.covariance[[0, 3, 5]][:, rows.drawn].T)
+        from gsgen.contract.causes.activations import explain_variances
+
+        cause = explain_variances(rows.covariance[:, rows.drawn].T)
     yield Violation.rows(
         Location(rows.emission.rows_label, "covariance"),
         invalid,
         min_variance,
-        expected,
+        "xx, yy, zz >= 0",
         checked=rows.drawn_count,
         magnitude=-min_variance,
+        cause=cause,
     )
 
 

@@ -40,13 +40,13 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
         Reorder the columns before packing; build the covariance as R S Sᵀ Rᵀ of scales and
         quaternion; transpose planes before they are reshaped. The SDK packs for you.
     """
-    order = emission.field_order
-    if order is not None:
+    order = emission.explanation
+    if order is not None and order.kind == "order":
         actual = (
             f"{100 * order.declared:.3g} % of {order.rows} rows are no valid Gaussian, "
             f"{100 * order.fraction:.3g} % if read as {order.name}"
         )
-        yield Violation.at(emission.rows_label, actual, " ".join(FIELDS))
+        yield Violation.at(emission.rows_label, actual, " ".join(FIELDS), hint=order.hint)
 
 
 @rule("GV008", Severity.WARNING, needs=ORDERED_ROWS, limit="subnormal_permille")

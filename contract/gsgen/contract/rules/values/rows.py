@@ -11,7 +11,6 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
-from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
 from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE_SHARE, OPACITY, OPACITY_SLACK
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
@@ -103,9 +102,11 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     opacity = rows.opacity
     in_range_mask = (opacity >= -OPACITY_SLACK) & (opacity <= 1 + OPACITY_SLACK)
     invalid = ~in_range_mask & rows.counted & rows.finite
-    expected = "0 <= opacity <= 1"
+    expected, cause = "0 <= opacity <= 1", None
     if invalid.any():
-        expected += f"; {diagnose_opacity(opacity[rows.counted & rows.finite])}"
+        from gsgen.contract.causes.activations import explain_opacity
+
+        cause = explain_opacity(opacity[rows.counted & rows.finite])
     yield Violation.rows(
         Location(rows.emission.rows_label, "opacity"),
         invalid,
@@ -113,6 +114,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         expected,
         checked=rows.live_rows,
         magnitude=np.abs(opacity - 0.5),
+        cause=cause,
     )
 
 

@@ -88,12 +88,13 @@ def _document(result: "RepairResult", output: Path | None) -> dict[str, object]:
 
 
 def _manifest(path: Path) -> "GeneratorManifest":
+    from gsgen.contract._safe_text import read_utf8
     from gsgen.contract.spec.manifest import GeneratorManifest
     from gsgen.contract.spec.manifest_io import loads
 
     try:
-        manifest = loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        manifest = loads(read_utf8(path))
+    except (OSError, UnicodeError) as error:
         raise ConfigInvalid(f"the manifest cannot be read: {error}", where=str(path)) from error
     except GsgenError as error:
         raise ConfigInvalid(error.message, where=str(path)) from error

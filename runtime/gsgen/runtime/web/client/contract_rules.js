@@ -384,7 +384,7 @@ yield py.violation(`manifest ${py.str(manifest_complaint.where)}`, manifest_comp
 }
 }
 function* declared_tensors_exist$manifest(subject) {
-  let declared, graph, inputs, manifest, name, names, outputs;
+  let are_all_declared, declared, graph, inputs, manifest, name, names, outputs;
 manifest = subject.manifest;
 if ((manifest == null)) {
 return;
@@ -392,9 +392,10 @@ return;
 graph = subject.graph;
 [inputs, outputs] = [[...(function* () { for (const t of py.iter(graph.inputs)) yield t.name; })()], [...(function* () { for (const t of py.iter(graph.outputs)) yield t.name; })()]];
 declared = [...(function* () { for (const i of py.iter(manifest.inputs)) yield i.name; })()];
+are_all_declared = py.list((function* () { for (const name of py.iter(inputs)) yield (py.contains(declared, name)); })()).every(py.bool);
 for (name of py.iter(declared)) {
 if ((!py.contains(inputs, name))) {
-yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_names_text$manifest(inputs));
+yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_names_text$manifest(inputs), undefined, undefined, (py.bool(are_all_declared) ? "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round trips, `.item()`, Python branches), or remove it from the manifest." : ""));
 }
 }
 for (name of py.iter(subject.output_names)) {
@@ -865,7 +866,7 @@ used_names = (py.union(used_names, py.item(graph.ancestors(tensor.name), 0)));
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 expected = py.or((generator == null), () => generator.depends(entry));
 if (((!py.contains(used_names, entry.name)) && py.bool(expected))) {
-yield py.violation(`input ${py.str(entry.name)}`, "no output depends on it", "an input that some output depends on");
+yield py.violation(`input ${py.str(entry.name)}`, "no output depends on it", "an input that some output depends on", undefined, undefined, ((generator != null) ? "" : "Export without detaching the input (numpy round trips, `.item()`, Python branches), or remove it from the model and the manifest."));
 }
 }
 }
@@ -1916,27 +1917,26 @@ return _failed_parse$manifest_io("syntax", "", _shorten$manifest_io(text), "fewe
 function _failed_parse$manifest_io(cause, where, actual, expected) {
 return new ParsedManifest$manifest_io(null, [new ManifestComplaint$manifest_io(cause, where, actual, expected)]);
 }
-function _shorten$manifest_io(value) {
-  let text;
-text = (py.isinstance(value, py.str) ? value : py.dumps(value, false, py.str));
+function _shorten$manifest_io(text) {
 text = py.or(text, () => "an empty text");
 return ((py.compare(py.len(text), 60) <= 0) ? text : `${py.str(py.slice(text, null, 57))}…`);
 }
 function _parse_document$manifest_io(text) {
-  let actual, document, error, manifest_complaint, version;
+  let actual, document, error, manifest_complaint, reason, version;
 try {
 document = py.loads(text, _parse_number$manifest_io, _parse_integer$manifest_io, _parse_number$manifest_io, _unique_keys$manifest_io);
 py.dumps(document, false);
 } catch (error) {
 if (!(error instanceof SyntaxError)) throw error;
-return _failed_parse$manifest_io("syntax", "", _shorten$manifest_io(text), `a JSON document (${py.str(error)})`);
+reason = py.or(_encoding_fault$manifest_io(text), () => py.str(error));
+return _failed_parse$manifest_io("syntax", "", _excerpt$manifest_io(text, reason), `a JSON document (${py.str(reason)})`);
 }
 if (!py.isinstance(document, py.dict)) {
-return _failed_parse$manifest_io("schema", "", _shorten$manifest_io(document), "a JSON object");
+return _failed_parse$manifest_io("schema", "", _json_text$manifest_io(document), "a JSON object");
 }
 version = _version$manifest_io(py.get(document, "contract"));
 if ((version == null)) {
-actual = _shorten$manifest_io(py.get(document, "contract", "nothing"));
+actual = ((py.contains(document, "contract")) ? _json_text$manifest_io(py.item(document, "contract")) : "nothing");
 return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
 if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$37, 0)))) {
@@ -1944,6 +1944,26 @@ manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _v
 return new ParsedManifest$manifest_io(null, [manifest_complaint], version);
 }
 return _parse_body$manifest_io(document, version);
+}
+function _encoding_fault$manifest_io(text) {
+if ((py.contains(py.slice(text, null, 4), "\u0000"))) {
+return "this is UTF-16: store it as UTF-8";
+}
+if (py.bool(py.startsWith(text, "﻿"))) {
+return "it begins with a byte order mark: store it as UTF-8 without one";
+}
+return "";
+}
+function _excerpt$manifest_io(text, reason) {
+  let begin, excerpt, match, place;
+match = new RegExp("(?:char|position) (\\d+)").exec(reason);
+if (((match == null) || !py.bool(text))) {
+return _shorten$manifest_io(text);
+}
+place = py.int(py.item(match, 1));
+begin = py.max([0, (py.minus(place, 40))]);
+excerpt = `${py.str(py.slice(text, begin, place))}^${py.str(py.slice(text, place, (py.plus(place, 20))))}`.replace("\n", " ");
+return excerpt;
 }
 function _parse_number$manifest_io(text) {
   let value;
@@ -1967,6 +1987,9 @@ throw new Error(`the key ${py.str(_shorten$manifest_io(repeated_key))} is repeat
 }
 return document;
 }
+function _json_text$manifest_io(value) {
+return _shorten$manifest_io(py.dumps(value, false, py.str));
+}
 function _version$manifest_io(value) {
   let parts;
 parts = (py.isinstance(value, py.str) ? value.split(".") : []);
@@ -1982,7 +2005,7 @@ function _parse_body$manifest_io(document, version) {
   let complaints, faults, is_newer_version, kind, manifest;
 kind = py.get(document, "kind");
 if ((!py.contains(MANIFEST_KINDS$0, kind))) {
-return _failed_parse$manifest_io("schema", "kind", _shorten$manifest_io(kind), `one of ${py.str(py.list(MANIFEST_KINDS$0).join(", "))}`);
+return _failed_parse$manifest_io("schema", "kind", _json_text$manifest_io(kind), `one of ${py.str(py.list(MANIFEST_KINDS$0).join(", "))}`);
 }
 is_newer_version = py.and((py.compare(version, CURRENT_VERSION$37) > 0), () => (!py.contains(UPGRADE_BY_VERSION$4, version)));
 document = upgrade$upgrades(document, version);
@@ -2150,10 +2173,10 @@ return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(u
 }
 if ((py.eq(fault.validator, "enum"))) {
 options = py.list((function* () { for (const option of py.iter(fault.validator_value)) yield py.str(option); })()).join(", ");
-return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), `one of ${py.str(options)}`);
+return new ManifestComplaint$manifest_io("schema", where, _json_text$manifest_io(fault.instance), `one of ${py.str(options)}`);
 }
 fault_detail = `${py.str(fault.validator)} ${py.str(fault.validator_value)}`;
-return new ManifestComplaint$manifest_io("schema", where, _shorten$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(fault_detail)})` : fault_detail));
+return new ManifestComplaint$manifest_io("schema", where, _json_text$manifest_io(fault.instance), (py.bool(expected) ? `${py.str(expected)} (${py.str(fault_detail)})` : fault_detail));
 }
 function _is_unknown$manifest_io(name, fault) {
   let known, patterns;
@@ -2282,7 +2305,7 @@ export const RULES = [
 {"id": "GM013", "severity": "info", "hint": "Write \"license\": \"Apache-2.0\" or another SPDX expression, and \"tool\": \"name 1.2\".", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: provenance_readable$declarations},
 {"id": "GM014", "severity": "warning", "hint": "Declare it in the manifest, under the model-level key gsgen.manifest.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_at_model_level$declarations},
 {"id": "GM015", "severity": "warning", "hint": "Update gsgen.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_minor_known$manifest},
-{"id": "GM016", "severity": "error", "hint": "Write the name or the role as it stands in the inputs, or remove the entry.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: dependencies_are_inputs$declarations},
+{"id": "GM016", "severity": "error", "hint": "Remove the entry, or write the name or the role as it stands in the inputs.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: dependencies_are_inputs$declarations},
 {"id": "GM017", "severity": "error", "hint": "Declare the tensor of cells as outputs.cells and the weights as weighted_sum, or blend by alpha and declare neither.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: weighted_sum_complete$cells},
 {"id": "GM018", "severity": "info", "hint": "Export the model again, or set \"contract\": \"1.0\".", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: contract_version_released$manifest},
 {"id": "GM019", "severity": "error", "hint": "Measure the bounds over all times and poses and write the lower corner first; the SDK measures them at export.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: bounds_are_a_box$manifest},
@@ -2307,7 +2330,7 @@ export const RULES = [
 {"id": "GI016", "severity": "warning", "hint": "Declare \"default\": a number, a list, \"zeros\" or \"identity\".", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004"], check: input_has_a_start$input_declarations},
 {"id": "GI017", "severity": "error", "hint": "Declare loop, frames and fps for the roles time and frame_index alone, and the rate that the scene was recorded at; leave fps out if it is unknown.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004"], check: timing_belongs_to_time$input_declarations},
 {"id": "GI018", "severity": "error", "hint": "Divide degrees by 180 and multiply by π, in the range and in what is fed.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: angles_are_radians$input_declarations},
-{"id": "GI025", "severity": "error", "hint": "Declare \"range\": [0, frames - 1] for a frame index; the range [0, 1] belongs to a time.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI013"], check: frames_fit_range$input_declarations},
+{"id": "GI025", "severity": "error", "hint": "Declare as many \"frames\" as the range has whole numbers or, where the model has more, \"range\": [0, frames - 1]; the range [0, 1] belongs to a time.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI013"], check: frames_fit_range$input_declarations},
 {"id": "GI030", "severity": "error", "hint": "List one joint for each row, in the order of the rows, parents first.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI005"], check: joints_fit_pose$avatar_inputs},
 {"id": "GI031", "severity": "warning", "hint": "Divide by 100 in the model, and declare \"range\": [0, 1].", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: blend_weights_in_unit_range$avatar_inputs},
 {"id": "GI032", "severity": "error", "hint": "Declare \"rate\" in samples per second; for mel also \"window\" and \"hop\", in samples.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: sound_described$avatar_inputs},
@@ -2341,7 +2364,7 @@ export const RULES = [
 {"id": "GG003", "severity": "warning", "hint": "Compute both branches and select with Where; unroll loops of fixed length.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: no_control_flow$graph},
 {"id": "GG010", "severity": "error", "hint": "Draw the numbers before export and store them as weights.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG025"], check: no_random_operators$repeatability},
 {"id": "GG012", "severity": "error", "hint": "Rename the nodes; name inputs and outputs with letters, digits, dots, slashes and underscores.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: names_are_clean$naming},
-{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace Scatter by Concat, Where or Gather.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG019"], check: outputs_survive_replay$capture},
+{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace Scatter by Concat, Where or Gather.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "graph_capture", "needs": ["GG019"], check: outputs_survive_replay$capture},
 {"id": "GL002", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "buffer_bytes", "needs": [], check: fits_buffer$limits},
 {"id": "GL001", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "binding_bytes", "needs": ["GL002"], check: fits_binding$limits},
 {"id": "GL003", "severity": "error", "hint": "Lower the capacity, or split the model.", "kinds": ["gaussian-generator"], "target": "", "limit": "workgroups", "needs": ["GO004", "GL001", "GL002"], check: fits_dispatch$limits},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.builders.clouds import cloud
-from gsgen.contract.probing.field_order import suspect_order
+from gsgen.contract.causes.explanations import explain_rows
 
 ORDERS = {
     "": [0, 1, 2, 3, 4, 5],
@@ -22,24 +22,24 @@ def rows_in(order, count=200):
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_field_order_is_recognised_from_values(order):
-    actual = suspect_order(rows_in(order))
+    actual = explain_rows(rows_in(order))
     assert (actual.name if actual else "") == order
     assert actual is None or (actual.declared > 0.2 and actual.fraction == 0)
 
 
 def test_too_few_rows_prove_nothing():
-    assert suspect_order(rows_in("xx yy zz xy xz yz", 15)) is None
+    assert explain_rows(rows_in("xx yy zz xy xz yz", 15)) is None
 
 
 def test_rows_without_a_fitting_order_give_no_finding():
     noise = np.random.default_rng(1).normal(size=(200, 10))
-    assert suspect_order(noise) is None
+    assert explain_rows(noise) is None
 
 
 def test_rows_that_are_not_finite_do_not_count():
     rows = rows_in("")
     rows[::2] = np.nan
-    assert suspect_order(rows) is None
+    assert explain_rows(rows) is None
 
 
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -71,14 +71,14 @@ def _joined(*names):
     ],
 )
 def test_columns_in_another_order_are_named(columns, name):
-    order = suspect_order(_joined(*columns), BOX)
+    order = explain_rows(_joined(*columns), BOX)
     assert order is not None
     assert name in order.name
 
 
 def test_planes_that_were_reshaped_are_named():
     right = rows_in("")
-    order = suspect_order(right.T.reshape(right.shape), BOX, right)
+    order = explain_rows(right.T.reshape(right.shape), BOX, right)
     assert order is not None
     assert order.name.startswith("ten planes")
 
@@ -87,7 +87,7 @@ def test_a_cholesky_factor_is_named():
     right = rows_in("")
     sigma = right[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
     factor = np.linalg.cholesky(sigma)[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]]
-    order = suspect_order(np.concatenate([right[:, :4], factor], axis=1), BOX)
+    order = explain_rows(np.concatenate([right[:, :4], factor], axis=1), BOX)
     assert order is not None
     assert "Cholesky" in order.name
 
@@ -102,10 +102,10 @@ def test_a_wrong_opacity_is_no_other_layout(fault, seed):
         opacity = np.log(gaussians.opacity / (1 - gaussians.opacity)) * 3 + 1
     upper = gaussians.covariance * ([1, 0, 0, 1, 0, 1] if "diagonal" in fault else 1)
     rows = np.concatenate([gaussians.position, opacity[:, None], upper], axis=1)
-    assert suspect_order(rows, BOX, rows.reshape(10, -1).T) is None
+    assert explain_rows(rows, BOX, rows.reshape(10, -1).T) is None
     rows[:, :3] = gaussians.position / 4 + 0.5  # a centre's x could be an opacity
     assert 0 < rows[:, :3].min() < rows[:, :3].max() < 1
-    assert suspect_order(rows, None, rows.reshape(10, -1).T) is None
+    assert explain_rows(rows, None, rows.reshape(10, -1).T) is None
 
 
 @pytest.mark.parametrize("parts", range(6))
@@ -114,7 +114,7 @@ def test_every_order_of_parts_and_entries_is_found(parts, order):
     position, opacity, covariance = np.split(rows_in(order), [3, 4], axis=1)
     arrangements = list(itertools.permutations((position, opacity, covariance)))
     rows = np.concatenate(arrangements[parts], axis=1)
-    result = suspect_order(rows)
+    result = explain_rows(rows)
     assert (result is None) is (not order and parts == 0)
 
 
@@ -122,7 +122,7 @@ def test_an_opacity_behind_thin_covariances_is_found():
     gaussians = cloud(200, seed=3)
     perturbation = 1e-6 * gaussians.covariance
     rows = np.concatenate([gaussians.position, perturbation, gaussians.opacity[:, None]], axis=1)
-    assert suspect_order(rows).name == "x y z, the covariance, opacity last"
+    assert explain_rows(rows).name == "x y z, the covariance, opacity last"
 
 
 def test_bounds_of_the_wrong_columns_hide_no_order():
@@ -132,7 +132,7 @@ def test_bounds_of_the_wrong_columns_hide_no_order():
     )
     rows = planes.T.reshape(200, 10)
     box = (tuple(rows[:, :3].min(0)), tuple(rows[:, :3].max(0)))
-    assert "ten planes" in suspect_order(rows, box, rows.reshape(10, -1).T).name
+    assert "ten planes" in explain_rows(rows, box, rows.reshape(10, -1).T).name
 
 
 def test_entries_that_float16_rounds_to_its_step_are_no_other_order():
@@ -140,4 +140,4 @@ def test_entries_that_float16_rounds_to_its_step_are_no_other_order():
     rows = np.concatenate(
         [gaussians.position, gaussians.opacity[:, None], 3e-7 * gaussians.covariance], axis=1
     )
-    assert suspect_order(rows.astype(np.float16).astype(float), rounding_error=2.0**-25) is None
+    assert explain_rows(rows.astype(np.float16).astype(float), rounding_error=2.0**-25) is None

@@ -1,0 +1,1 @@
+"""Which mistake explains a model's rows? Each explanation is undone, tried and scored alike."""
