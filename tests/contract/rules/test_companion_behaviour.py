@@ -115,7 +115,7 @@ def test_right_pictures_pass(name: str, tmp_path: Path) -> None:
     assert not findings(sharpened(size, nodes), tmp_path)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_networks_with_random_weights_pass(seed: int, tmp_path: Path) -> None:
     random = np.random.default_rng(seed)
     weights = {

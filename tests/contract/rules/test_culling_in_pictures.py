@@ -207,7 +207,7 @@ def test_a_row_behind_another_is_covered_by_it() -> None:
     np.testing.assert_allclose(depth, (0.5 * 2 + 0.25 * 6) / 0.75, rtol=1e-2)
 
 
-@pytest.mark.parametrize("kind", ["room", "avatar", "cloud"])
+@pytest.mark.parametrize("kind", ["room", "avatar", pytest.param("cloud", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NO_HOLES)
 def test_rows_out_of_view_leave_no_hole(name: str, kind: Kind, tmp_path: Path) -> None:
     assert not findings(scene_with_camera(NO_HOLES[name], kind), tmp_path)

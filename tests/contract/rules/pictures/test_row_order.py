@@ -59,7 +59,7 @@ def by_parts(kind: Kind, nodes: str, entry: Input, degree: int | None = 0) -> Mo
 _DEPTH = (
     "offset = Gather <axis = 0> (view, three) eye = MatMul (homogeneous, view) "
     "column = Gather <axis = 1> (eye, two) depth = Reshape (column, flat) "
-    "sorted, places = TopK (depth, all) backwards, others = TopK <largest = 0> (depth, all) "
+    "sorted, places = TopK (depth, all) "
     "rank = Cast <to = 1> (places) ranks, inverse = TopK <largest = 0> (rank, all) "
     "as_they_are = Identity (order) "
     "head = Slice (places, zero, third) tail = Slice (order, third, all) "
@@ -134,7 +134,6 @@ TORN = {
     "covariances stay": sorted_by_depth(covariance="as_they_are"),
     "opacities stay": sorted_by_depth(opacity="as_they_are"),
     "positions stay": sorted_by_depth(position="as_they_are"),
-    "colours the other way round": sorted_by_depth(color="others"),
     "colours by the inverse": sorted_by_depth(color="inverse"),
     "colours of two thirds stay": sorted_by_depth(color="a_third"),
     "colours stay where rows are dropped": compacted("as_they_are"),
@@ -195,7 +194,6 @@ def scaled(
 _FRAME = Input(name="time", role="frame_index", range=(0.0, 1.0), default=0.0)
 OTHER_FACTORS = {
     "positions alone normalised": scaled("surface", 0.286, 1.0),
-    "positions alone normalised in a room": scaled("room", 0.286, 1.0),
     "positions alone multiplied": scaled("avatar", 3.0, 1.0),
     "sizes pulse": scaled("surface", 1.0, 2.9),
     "sizes of strands pulse": scaled("hair", 1.0, 2.9),
@@ -207,7 +205,6 @@ OTHER_FACTORS = {
 }
 SAME_FACTORS = {
     "scaled": scaled("surface", 0.3, 0.3),
-    "scaled room": scaled("room", 4.0, 4.0),
     "still": scaled("avatar", 1.0, 1.0),
     "breathing": scaled("avatar", 1.2, 1.0),
     "sizes by a third": scaled("hair", 1.0, 1.35),
