@@ -15,6 +15,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.reference_plugins import synthetic
 from gsgen.sdk import GaussianGenerator, export, installed_plugins
 from gsgen.sdk.binding import FrameSession
+from gsgen.sdk.exporting.pipeline import GraphSource
 
 FRAMES = 6
 
@@ -24,14 +25,14 @@ class Family:
     """How a test makes a model of a family.
 
     Attributes:
-        write: Writes a checkpoint into a folder.
+        write: Writes a checkpoint, or frames, into a folder.
         options: Further arguments of the plugin's ``build``.
         has_motion: Whether the model plays a motion.
         tolerance: What Gaussians may differ by, relative to the largest number of their column.
             Poses and positional encodings take sines, which SwiftShader computes to 2e-4.
     """
 
-    write: Callable[[Path], Path]
+    write: Callable[[Path], Path | list[Path]]
     options: Mapping[str, Any] = field(default_factory=dict)
     has_motion: bool = False
     tolerance: float = 2e-5
@@ -58,6 +59,10 @@ FAMILIES: Mapping[str, Family] = {
     "rotor-4dgs": Family(write=synthetic.write_rotor, options={"time_duration": (0.0, 1.0)}),
     "sc-gs": Family(write=synthetic.write_sc_gs, tolerance=_TRIGONOMETRY),
     "scaffold-gs": Family(write=synthetic.write_scaffold),
+    "sequence": Family(
+        write=lambda folder: [synthetic.write_sequence(folder, rows=300, frames=6)[0].parent],
+        options={"moments": 0},
+    ),
     "spacetime-gaussians": Family(write=synthetic.write_spacetime),
 }
 
@@ -65,12 +70,11 @@ FAMILIES: Mapping[str, Family] = {
 def plugin_names() -> set[str]:
     """Return the plugins that export generators of Gaussians from checkpoints of a method."""
     names = {plugin.name for plugin in installed_plugins() if "image" not in plugin.inputs}
-    # The models of the first two have no inputs; clips are made of frames, without a torch module.
-    return names - {"static", "2dgs", "sequence"}
+    return names - {"static", "2dgs"}  # whose models have no inputs
 
 
-def family_generator(name: str, folder: Path) -> GaussianGenerator:
-    """Write a checkpoint of a family, and read its generator."""
+def family_generator(name: str, folder: Path) -> GaussianGenerator | GraphSource:
+    """Write a checkpoint of a family, and read its generator, or the source of its graph."""
     family = FAMILIES[name]
     [plugin] = [plugin for plugin in installed_plugins() if plugin.name == name]
     options = dict(family.options)
@@ -78,15 +82,18 @@ def family_generator(name: str, folder: Path) -> GaussianGenerator:
         options["motion"] = synthetic.write_motion(folder.parent / "walk.npz")
     assert plugin.build is not None
     generator = plugin.build(family.write(folder), **options)
-    assert isinstance(generator, GaussianGenerator)
+    assert isinstance(generator, GaussianGenerator | GraphSource)
     return generator
 
 
 def export_family(name: str, folder: Path) -> Path:
     """Export a model of a family, and return its path."""
     path = folder / f"{name}.onnx"
-    generator = family_generator(name, folder / name)
-    export(generator, path, target="webgpu", settings=Settings(level=Level.STATIC))
+    generator, settings = family_generator(name, folder / name), Settings(level=Level.STATIC)
+    if isinstance(generator, GraphSource):
+        generator.export(path, target="webgpu", settings=settings)
+    else:
+        export(generator, path, target="webgpu", settings=settings)
     return path
 
 

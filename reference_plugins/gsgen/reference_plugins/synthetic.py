@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         write_lhm,
         write_r3,
     )
+    from gsgen.reference_plugins.sequences.synthetic_sequence import moving_knot, write_sequence
     from gsgen.reference_plugins.spacetime.synthetic_ex4dgs import write_ex4dgs
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
@@ -50,10 +51,10 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.writing.knot import torus_knot
 
 __all__ = [
-    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_adain", "write_anime_gan", "write_anygs", "write_body",
+    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "moving_knot", "torus_knot", "write_adain", "write_anime_gan", "write_anygs", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_enhancer", "write_ex4dgs", "write_fast_neural_style", "write_gart", "write_gauhuman", "write_gaussian_avatar",
     "write_hexplane", "write_lgm", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
-    "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
+    "write_sequence", "write_spacetime", "write_splatter_image", "write_stylise", "write_surfels",
 ]  # fmt: skip
 
 # Public name → the module that defines it, or that it is.
@@ -81,6 +82,8 @@ _MODULE_BY_NAME: Final = {
     "write_gauhuman": "gsgen.reference_plugins.people.synthetic_people",
     "write_lhm": "gsgen.reference_plugins.people.synthetic_people",
     "write_r3": "gsgen.reference_plugins.people.synthetic_people",
+    "moving_knot": "gsgen.reference_plugins.sequences.synthetic_sequence",
+    "write_sequence": "gsgen.reference_plugins.sequences.synthetic_sequence",
     "write_ex4dgs": "gsgen.reference_plugins.spacetime.synthetic_ex4dgs",
     "write_rotor": "gsgen.reference_plugins.spacetime.synthetic_rotor",
     "write_spacetime": "gsgen.reference_plugins.spacetime.synthetic_spacetime",

@@ -41,9 +41,9 @@ class _GraphWriter:
         self._shared: dict[tuple[float | int, ...], ir.Value] = {}
         self._count = 0
 
-    def weight(self, array: np.ndarray) -> ir.Value:
-        """Add a weight."""
-        return weight(self.graph, f"weight_{len(self.graph.initializers)}", array)
+    def weight(self, array: np.ndarray, name: str = "") -> ir.Value:
+        """Add a weight, under a name if readers of clips look for it."""
+        return weight(self.graph, name or f"weight_{len(self.graph.initializers)}", array)
 
     def scalar(self, value: float) -> ir.Value:
         """Return a float32 constant, which nodes share."""
@@ -74,12 +74,12 @@ class _GraphWriter:
         """Join at most four tensors, as many as a node may have inputs in every runtime."""
         return parts[0] if len(parts) == 1 else self.op("Concat", *parts, axis=axis)
 
-    def digits(self, values: np.ndarray, scale: float) -> ir.Value:
+    def digits(self, values: np.ndarray, scale: float, name: str) -> ir.Value:
         """Return bytes as float32, less 128, times a scale."""
         if () not in self._shared:
             self._shared[()] = self.weight(np.array(DIGIT_ZERO, np.uint8))
         return self.op(
-            "DequantizeLinear", self.weight(values), self.scalar(scale), self._shared[()]
+            "DequantizeLinear", self.weight(values, name), self.scalar(scale), self._shared[()]
         )
 
     def add_output(self, value: ir.Value, name: str, dtype: ir.DataType, *shape: int) -> None:
@@ -98,7 +98,7 @@ def clip_model(clip: Clip, manifest: GeneratorManifest, opset: int) -> ir.Model:
     time = ir.Value(name=name, type=ir.TensorType(ir.DataType.FLOAT), shape=ir.Shape([1]))
     graph = _GraphWriter(time, opset)
     knots = _knot_weights(graph, time, clip)
-    rows = [_group_rows(graph, group, knots) for group in clip.groups]
+    rows = [_group_rows(graph, group, knots, f"group{i}") for i, group in enumerate(clip.groups)]
     graph.add_output(
         graph.join(rows, 0),
         declared.gaussians.name,
@@ -107,7 +107,11 @@ def clip_model(clip: Clip, manifest: GeneratorManifest, opset: int) -> ir.Model:
         layout.ROW_LENGTH,
     )
     color = graph.join(
-        [_planes_to_rows(graph, _table(graph, group.color, knots)) for group in clip.groups], 0
+        [
+            _planes_to_rows(graph, _table(graph, group.color, knots, f"group{i}.color"))
+            for i, group in enumerate(clip.groups)
+        ],
+        0,
     )
     if clip.space == "rgb":
         color = graph.op("Clip", color, graph.scalar(0.0), graph.scalar(1.0))
@@ -132,9 +136,9 @@ def _knot_weights(graph: _GraphWriter, time: ir.Value, clip: Clip) -> ir.Value:
     return graph.op("Relu", graph.op("Sub", graph.scalar(1.0), distance))
 
 
-def _table(graph: _GraphWriter, table: Table, knots: ir.Value | None) -> ir.Value:
+def _table(graph: _GraphWriter, table: Table, knots: ir.Value | None, name: str) -> ir.Value:
     """Return the values [planes, n] of a table."""
-    coefficients = graph.weight(table.coefficients)
+    coefficients = graph.weight(table.coefficients, f"{name}.coefficients")
     if len(table.coefficients) > 1:
         assert knots is not None
         coefficients = graph.op("MatMul", knots, coefficients)
@@ -147,7 +151,9 @@ def _table(graph: _GraphWriter, table: Table, knots: ir.Value | None) -> ir.Valu
         weights = (
             coefficients if stop - start == count else graph.rows(coefficients, start, stop, 1)
         )
-        part = graph.op("MatMul", weights, graph.digits(table.digits[start:stop], 1.0))
+        part = graph.op(
+            "MatMul", weights, graph.digits(table.digits[start:stop], 1.0, f"{name}.digits.{start}")
+        )
         total = graph.op("Add", total, part) if total is not None else part
     assert total is not None
     return graph.op("Reshape", total, graph.sizes(table.planes, -1))
@@ -157,18 +163,24 @@ def _planes_to_rows(graph: _GraphWriter, planes: ir.Value) -> ir.Value:
     return graph.op("Transpose", planes, perm=[1, 0])
 
 
-def _group_rows(graph: _GraphWriter, group: RowGroup, knots: ir.Value | None) -> ir.Value:
+def _group_rows(graph: _GraphWriter, group: RowGroup, knots: ir.Value, name: str) -> ir.Value:
     """Return the packed rows [n, 10] of a group."""
     # Sizes are exponentials of bytes.
-    exponent = graph.digits(group.size[None], SIZE_STEP)
-    size = graph.op("Mul", graph.op("Exp", exponent), graph.scalar(group.size_unit))
-    position = _table(graph, group.place, knots)
+    exponent = graph.digits(group.size[None], SIZE_STEP, f"{name}.size")
+    size = graph.op(
+        "Mul",
+        graph.op("Exp", exponent),
+        graph.weight(np.array(group.size_unit, np.float32), f"{name}.size_unit"),
+    )
+    position = _table(graph, group.place, knots, f"{name}.place")
     if group.motion is not None:
-        motion = graph.op("Mul", _table(graph, group.motion, knots), size)
+        motion = graph.op("Mul", _table(graph, group.motion, knots, f"{name}.motion"), size)
         position = graph.op("Add", position, motion)
-    opacity = graph.op("Add", _table(graph, group.opacity, knots), graph.scalar(0.5))
+    opacity = graph.op(
+        "Add", _table(graph, group.opacity, knots, f"{name}.opacity"), graph.scalar(0.5)
+    )
     opacity = graph.op("Clip", opacity, graph.scalar(0.0), graph.scalar(1.0))
-    factors = graph.op("Mul", _table(graph, group.factors, knots), size)
+    factors = graph.op("Mul", _table(graph, group.factors, knots, f"{name}.factors"), size)
     # Σ = L Lᵀ, where a column of L below its diagonal gives a part of a row of Σ.
     first, second = graph.rows(factors, 0, 3), graph.rows(factors, 3, 5)
     l00, l10, l20 = (graph.rows(factors, index, index + 1) for index in range(3))
@@ -187,8 +199,12 @@ def _palette_rows(graph: _GraphWriter, palette: Palette) -> ir.Value:
     """Return the SH coefficients [n, k] of all rows but for the constant term."""
     high, low = np.divmod(palette.labels, _LABEL_BASE)
     # Bytes are stored about 128, so 128 · 257 is added again.
-    label = graph.op("Mul", graph.digits(high.astype(np.uint8), 1.0), graph.scalar(_LABEL_BASE))
-    label = graph.op("Add", label, graph.digits(low.astype(np.uint8), 1.0))
+    label = graph.op(
+        "Mul",
+        graph.digits(high.astype(np.uint8), 1.0, "palette.labels_high"),
+        graph.scalar(_LABEL_BASE),
+    )
+    label = graph.op("Add", label, graph.digits(low.astype(np.uint8), 1.0, "palette.labels_low"))
     label = graph.op("Add", label, graph.scalar(DIGIT_ZERO * (_LABEL_BASE + 1)))
-    entries = _planes_to_rows(graph, _table(graph, palette.entries, None))
+    entries = _planes_to_rows(graph, _table(graph, palette.entries, None, "palette.entries"))
     return graph.op("Gather", entries, graph.op("Cast", label, to=ir.DataType.INT32.value), axis=0)
