@@ -23,7 +23,7 @@ from gsgen.contract.process.drafts import lock_folder
 from gsgen.formats.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
 from gsgen.tiles.build.engines.engine import Engine
-from gsgen.tiles.build.files import sweep, write_json
+from gsgen.tiles.build.files import sweep, write_bytes, write_json
 from gsgen.tiles.build.frame import moved_transform, turned_transform
 from gsgen.tiles.build.neural_tiles import Generator
 from gsgen.tiles.build.octree import load_built
@@ -208,12 +208,11 @@ def build_tileset(
 def _sole_build(output: Path) -> Iterator[None]:
     """Hold the lock of an output folder, in which one process builds at a time."""
     folder = output / WORK_FOLDER
+    owner_file = folder / _OWNER_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = lock_folder(folder)
-        (folder / _OWNER_FILE).write_text(str(os.getpid()), "utf-8")
     except BlockingIOError:
-        owner_file = folder / _OWNER_FILE
         owner = owner_file.read_text("utf-8") if owner_file.is_file() else "that has just begun"
         raise ConfigInvalid(
             f"process {owner} is building a tileset in this folder",
@@ -224,8 +223,10 @@ def _sole_build(output: Path) -> Iterator[None]:
         message = f"cannot be written: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(error.filename or folder)) from error
     try:
+        write_bytes(owner_file, str(os.getpid()).encode())
         yield
     finally:
+        owner_file.unlink(missing_ok=True)
         if descriptor is not None:
             os.close(descriptor)
 
