@@ -12,6 +12,7 @@ import json
 import sys
 import tempfile
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import onnx
@@ -20,7 +21,8 @@ from hint_reader import Draft, mend
 from gsgen.conformance.fixtures import find, fixtures
 from gsgen.conformance.fixtures.field_mutations import FIELD_MUTATIONS, mutated_model
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.model.model_file import MANIFEST_KEY
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
+from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.settings import Settings
@@ -30,16 +32,19 @@ from gsgen.sdk.exporting.repair import repair
 MIN_READ, MIN_SHARE = 60, 50 / 60
 
 
-def broken_models(folder: Path) -> list[tuple[str, Path, Settings]]:
-    """Write all models that break one rule; return name, path and settings of each."""
+def broken_models(folder: Path) -> list[tuple[str, Path, Settings, Level]]:
+    """Write all models that break one rule; return name, path, settings and level of each."""
+    levels = {rule.id: min(rule.level, Level.BEHAVIOUR) for rule in builtin_rules()}
     models = []
     for fixture in fixtures():
         if fixture.rule and fixture.suffix == ".onnx" and fixture.level >= Level.BEHAVIOUR:
-            models.append((fixture.name, fixture.write(folder), fixture.settings))
+            path = fixture.write(folder)
+            models.append((fixture.name, path, fixture.settings, levels[fixture.rule]))
     for mutation in FIELD_MUTATIONS:
         path = folder / f"{mutation.field}.onnx"
         mutated_model(mutation, find(mutation.base).draw()).write(path)
-        models.append((mutation.field, path, find(mutation.base).settings))
+        settings = find(mutation.base).settings
+        models.append((mutation.field, path, settings, levels[mutation.rule]))
     return models
 
 
@@ -53,7 +58,7 @@ def follow(path: Path, finding: Finding, settings: Settings) -> bool:
         path.with_suffix(".mended.onnx").replace(path)
         return True
     model = onnx.load(path, load_external_data=False)
-    entries = [entry for entry in model.metadata_props if entry.key == MANIFEST_KEY]
+    entries = [entry for entry in model.metadata_props if entry.key in (MANIFEST_KEY, NEUTRAL_KEY)]
     try:
         manifest = json.loads(entries[0].value) if entries else {}
     except ValueError:
@@ -61,16 +66,16 @@ def follow(path: Path, finding: Finding, settings: Settings) -> bool:
     draft = Draft(model, manifest, finding, path.parent)
     if not mend(draft):
         return False
-    entries = [entry for entry in model.metadata_props if entry.key == MANIFEST_KEY]
-    entry = entries[0] if entries else model.metadata_props.add(key=MANIFEST_KEY)
-    entry.value = json.dumps(draft.manifest)
+    entries = [entry for entry in model.metadata_props if entry.key in (MANIFEST_KEY, NEUTRAL_KEY)]
+    for entry in entries or [model.metadata_props.add(key=MANIFEST_KEY)]:
+        entry.value = json.dumps(draft.manifest)
     path.write_bytes(model.SerializeToString())
     return True
 
 
-def outcome_of(path: Path, settings: Settings) -> tuple[str, str]:
+def outcome_of(path: Path, settings: Settings, level: Level) -> tuple[str, str]:
     """Follow the first finding of a model; return what became of it, and what the finding was."""
-    before = validate(path, settings)
+    before = validate(path, replace(settings, level=level))
     if not before.findings:
         return "no finding", ""
     finding = before.findings[0]
@@ -90,10 +95,10 @@ def main() -> None:
     """Print what became of the models, and whether the bars hold."""
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        for name, path, settings in broken_models(Path(folder)):
+        for name, path, settings, level in broken_models(Path(folder)):
             if sys.argv[1:] and name not in sys.argv[1:]:
                 continue
-            result, words = outcome_of(path, settings)
+            result, words = outcome_of(path, settings, level)
             counts[result] += 1
             if result != "mended":
                 print(f"{result}: {name}: {words}")

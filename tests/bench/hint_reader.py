@@ -56,6 +56,15 @@ class Draft:
     def append(self, nodes: str, *, output: str = "", **weights: np.ndarray) -> None:
         """Put nodes of ONNX text behind an output, which they read as ``old`` and give as ``new``."""
         name = output or self.named
+        if any(value.name == name for value in self.model.graph.input):
+            raise NotRead(f"{name} is an input, too")
+        if self.tensor(name).elem_type == DTYPES["float16"]:
+            weights = {
+                key: array.astype(np.float16) if array.dtype == np.float32 else array
+                for key, array in weights.items()
+            }
+        for weight in self.model.graph.initializer:
+            weight.name = f"{name}.old" if weight.name == name else weight.name
         for node in self.model.graph.node:
             for names in (node.output, node.input):
                 names[:] = [f"{n}.old" if n == name else n for n in names]
@@ -143,6 +152,8 @@ def name_tensor(draft: Draft, match: re.Match[str]) -> None:
     names = match["words"].split(", ")
     free = [name for name in names if json.dumps(name) not in text]
     near = difflib.get_close_matches(draft.named.lower(), names, 1, 0.6)
+    if not (near or free):
+        raise NotRead("every name has a role")
     new_name = near[0] if near else free[0]
     draft.manifest = json.loads(text.replace(json.dumps(draft.named), json.dumps(new_name), 1))
 
@@ -201,6 +212,8 @@ def default_within(draft: Draft, _: object) -> None:
 def reshape_input(draft: Draft, match: re.Match[str]) -> None:
     sizes = [int(size) for size in match["sizes"].split(", ")]
     old_sizes = draft.set_shape(*sizes)
+    if min(old_sizes, default=1) > 0 and np.prod(old_sizes) != np.prod(sizes):
+        raise NotRead("no reshape gives so many numbers")
     shape = np.array([size if size > 0 else -1 for size in old_sizes], np.int64)
     draft.prepend("inner = Reshape (old, mend_shape)", mend_shape=shape)
 
@@ -229,6 +242,11 @@ def cast_output(dtype: str) -> Edit:
                 entry["dtype"] = dtype
 
     return edit
+
+
+def divide_bytes(draft: Draft, _: object) -> None:
+    draft.tensor().elem_type = DTYPES["float32"]
+    draft.append("real = Cast <to = 1> (old); new = Div (real, mend_byte)", mend_byte=BYTE)
 
 
 def cast_count(draft: Draft, _: object) -> None:
@@ -333,6 +351,8 @@ def leave_training(draft: Draft, _: object) -> None:
                 attribute.i = 0
         if node.op_type == "Dropout":
             del node.input[1:]
+        if node.op_type == "BatchNormalization":
+            del node.output[1:]
 
 
 def drop_value_keys(draft: Draft, _: object) -> None:
@@ -343,13 +363,15 @@ def drop_value_keys(draft: Draft, _: object) -> None:
 
 def pad_colours(draft: Draft, match: re.Match[str]) -> None:
     channels = int(match["channels"])
-    size = {3: 4, 27: 48}[channels]
+    appearance = draft.manifest["outputs"]["appearance"]
+    is_rgb = appearance["space"] == "rgb"
+    size = {3: 4 if is_rgb else 12, 27: 48}[channels]
     rows = draft.set_shape()[0]
     draft.set_shape(rows, size)
-    fill = np.full((rows, size - channels), channels == 3, np.float16)
+    fill = np.full((rows, size - channels), is_rgb, np.float16)
     draft.append("new = Concat <axis = 1> (old, mend_fill)", mend_fill=fill)
-    if channels == 27:
-        draft.manifest["outputs"]["appearance"]["degree"] = 3
+    if not is_rgb:
+        appearance["degree"] = {12: 1, 48: 3}[size]
 
 
 def lower_corner_first(draft: Draft, _: object) -> None:
@@ -441,6 +463,7 @@ MENDS: tuple[tuple[str, Edit], ...] = (
     (r'Declare as many "frames" as the range has whole numbers', count_frames),
     (r"expected two axes, \[(?P<sizes>N, 10)\].*reshape flattened rows|\[(?P<other>N, 10)\].*Drop the batch axis", reshape_output),
     (r"(?P<sizes>)reshape the last two axes into one", reshape_output),
+    (r"Divide the bytes by 255 in float32", divide_bytes),
     (r"End the output on a cast to float32", cast_output("float32")),
     (r"expected (float32), as gaussians.*Cast both", cast_output("float32")),
     (r"expected (float16), as gaussians.*Cast both", cast_output("float16")),

@@ -189,7 +189,10 @@ def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         if tensor is not None and tensor.dtype not in ITEMSIZE:
-            yield Violation.at(f"output {tensor.name}", str(tensor.dtype), "float32 or float16")
+            hint = "Divide the bytes by 255 in float32." if tensor.dtype == "uint8" else ""
+            yield Violation.at(
+                f"output {tensor.name}", str(tensor.dtype), "float32 or float16", hint=hint
+            )
 
 
 @rule("GO009", Severity.WARNING, needs=("GO008",))

@@ -1310,10 +1310,11 @@ yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(row_count)} rows`,
 }
 }
 function* output_dtype$outputs(subject) {
-  let tensor;
+  let hint, tensor;
 for (tensor of py.iter([subject.gaussians, subject.appearance, subject.cells])) {
 if (((tensor != null) && (!py.contains(ITEMSIZE$1, tensor.dtype)))) {
-yield py.violation(`output ${py.str(tensor.name)}`, py.str(tensor.dtype), "float32 or float16");
+hint = ((py.eq(tensor.dtype, "uint8")) ? "Divide the bytes by 255 in float32." : "");
+yield py.violation(`output ${py.str(tensor.name)}`, py.str(tensor.dtype), "float32 or float16", undefined, undefined, hint);
 }
 }
 }
