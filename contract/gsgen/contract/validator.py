@@ -17,6 +17,15 @@ from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 
 
+def _to_text(report: Report) -> str:
+    from gsgen.contract.reporters.text import render
+
+    return "\n".join(line.text for line in render(report))
+
+
+Report.to_text = _to_text
+
+
 def validate(
     path: str | os.PathLike[str],
     settings: Settings | None = None,

@@ -136,11 +136,23 @@ rule('GV059', 'error', {needs: [...COUNT, 'GO001', 'GO002', 'GI001', 'GM006']}, 
   const [a, b] = m.frames;
   if (!view || !b || Math.min(a.live, b.live) < 4) return undefined;
   const order = m.manifest.space.matrix_order ?? 'column';
-  const undone = (frame, i) => { // Rᵀ (p − t)
+  // The space of the centres in camera i's frame, undone: camera and OpenGL space, relative to the
+  // camera's centre c or to t, moved by c, turned by R, moved by the inverse of the view matrix.
+  const spaces = [
+    ({p, t, turned}) => turned(p.map((x, k) => x - t[k])),
+    ({p, t, turned}) => turned([p[0] - t[0], -p[1] - t[1], -p[2] - t[2]]),
+    ({p, c}) => p.map((x, k) => x + c[k]),
+    ({p, c}) => p.map((x, k) => x - c[k]),
+    ({p, t}) => p.map((x, k) => x + t[k]),
+    ({p, turned}) => turned(p),
+    ({p, t, at}) => [0, 1, 2].map((r) => at(r, 0) * p[0] + at(r, 1) * p[1] + at(r, 2) * p[2] + t[r]),
+  ];
+  const undone = (frame, i, space) => {
     const {values} = frame.inputs[view];
     const at = (r, c) => values[order === 'row' ? 4 * r + c : 4 * c + r];
-    const p = [0, 1, 2].map((r) => frame.row(i)[r] - at(r, 3));
-    return [0, 1, 2].map((c) => p[0] * at(0, c) + p[1] * at(1, c) + p[2] * at(2, c));
+    const turned = (p) => [0, 1, 2].map((c) => p[0] * at(0, c) + p[1] * at(1, c) + p[2] * at(2, c));
+    const [t, p] = [[0, 1, 2].map((r) => at(r, 3)), [...frame.row(i).slice(0, 3)]];
+    return space({p, t, at, turned, c: turned(t).map((x) => -x)});
   };
   const rows = live(a).filter((i) => i < b.live && a.finite(i) && b.finite(i));
   const distance = (f, g) => Math.sqrt(rows.reduce((sum, i) => {
@@ -151,7 +163,7 @@ rule('GV059', 'error', {needs: [...COUNT, 'GO001', 'GO002', 'GI001', 'GM006']}, 
   const centre = [0, 1, 2].map((k) => rows.reduce((sum, i) => sum + a.row(i)[k], 0) / rows.length);
   const spread = distance(here(a), () => centre);
   const follows = distance(here(a), here(b)) > 0.05 * spread
-    && distance((i) => undone(a, i), (i) => undone(b, i)) < 0.002 * spread;
+    && spaces.some((space) => distance((i) => undone(a, i, space), (i) => undone(b, i, space)) < 0.002 * spread);
   return follows ? 'centres move with the camera' : undefined;
 });
 

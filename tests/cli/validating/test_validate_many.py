@@ -180,8 +180,9 @@ def test_a_folder_of_another_program_is_named(
     path = tmp_path / file
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(b"x")
-    for words in (["validate", tmp_path], ["inspect", tmp_path]):
-        completed = gsgen_here(*words)
+    # `inspect` reads the splats of a training of 3DGS.
+    for command_name in ("validate", "inspect") if "3DGS" not in title else ("validate",):
+        completed = gsgen_here(command_name, tmp_path)
         assert completed.code in (2, 4)
         assert title in completed.err
         assert command in completed.err

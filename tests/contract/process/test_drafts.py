@@ -88,7 +88,7 @@ def test_folder_swept_before_it_was_locked_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process may look for drafts just between the making and the locking of one."""
-    lock, swept = drafts._lock, []
+    lock, swept = drafts.lock_folder, []
 
     def sweep_first(draft: Path) -> int | None:
         if not swept:
@@ -96,7 +96,7 @@ def test_folder_swept_before_it_was_locked_is_made_again(
             draft.rmdir()
         return lock(draft)
 
-    monkeypatch.setattr(drafts, "_lock", sweep_first)
+    monkeypatch.setattr(drafts, "lock_folder", sweep_first)
     with temporary_folder(tmp_path) as folder:
         assert folder.is_dir()
         assert swept != [folder]

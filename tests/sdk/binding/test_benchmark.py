@@ -97,7 +97,7 @@ def test_command_lists_unmeasured_models(models, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "expected_message"),
     [
-        (["--provider", "gpu"], 2, "'gpu' is not one of"),
+        (["--provider", "tpu"], 2, "'tpu' is not one of"),
         (["--frames", "0"], 2, "--frames"),
         (["--size", "J"], 2, "the value is 'J', expected SYMBOL=SIZE"),
         ([os.devnull], 4, "is not a regular file"),

@@ -24,6 +24,8 @@ _LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
 _MAJORITY_SHARE = 0.9
 # Of logits, at least this share lies outside [0, 1]; the sigmoid would spoil the others.
 _MIN_LOGIT_SHARE = 0.4
+# A network that lacks a clamp goes beyond the range by this much at most.
+_MAX_OVERSHOOT = 0.5
 # Fewer values than this fit any mistake by chance.
 _MIN_VALUES = 8
 # The constant of the SH of degree 0.
@@ -74,7 +76,9 @@ def explain_opacity(values: Float[np.ndarray, " n"]) -> tuple[str, str] | None:
         (_CLAMP, is_positive, lambda x: np.clip(x, 0, 1)),
         (
             "a few values on both sides suggest a missing clamp: clamp them",
-            outside_share <= _MIN_LOGIT_SHARE,
+            outside_share <= _MIN_LOGIT_SHARE
+            and low >= -_MAX_OVERSHOOT
+            and high <= 1 + _MAX_OVERSHOOT,
             lambda x: np.clip(x, 0, 1),
         ),
     ]

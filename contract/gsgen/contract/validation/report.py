@@ -16,10 +16,9 @@ __all__ = [
 ]
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Literal
+from typing import ClassVar, Literal
 
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.spec.severity import Level, Severity
@@ -196,6 +195,8 @@ class Report:
     docs_url: str = ""
     picture: Picture | None = None
     moments: tuple[str, ...] = ()
+    # How a report is printed; the validator, which is above the reporters, sets it.
+    to_text: ClassVar[Callable[["Report"], str]] = repr
 
     @property
     def not_checked(self) -> tuple[Outcome, ...]:
@@ -257,9 +258,7 @@ class Report:
 
     def __str__(self) -> str:
         """Return the report as ``gsgen validate`` prints it."""
-        # The reporters are above this room; they are needed where a report is printed alone.
-        render = import_module("gsgen.contract.reporters.text").render
-        return "\n".join(line.text for line in render(self))
+        return type(self).to_text(self)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{self.count(entry)} of severity {entry.word}" for entry in Severity)

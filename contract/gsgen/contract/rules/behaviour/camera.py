@@ -205,7 +205,7 @@ def detail_grows_nearby(behaviour: Behaviour) -> Iterator[Violation]:
 @rule(
     "GB008",
     Severity.WARNING,
-    needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017", "GB067"),
+    needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017", "GV054", "GB067"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     """Rows that a camera does not draw leave no hole in its picture, compared with all rows.

@@ -405,15 +405,16 @@ def _share_of_other_factors(
         np.log(np.maximum(np.linalg.det(symmetric(packed[:, COVARIANCE])), _TINY**3)) / 6
         for packed in (sample.rows, later_rows)
     ]
-    change = np.median(distances[1] - distances[0], axis=1)
+    change = distances[1] - distances[0]
     growth = (sizes[1] - sizes[0])[sample.inner_indices]
     position = sample.rows[sample.inner_indices][:, POSITION]
     differing = []
     counted = 0
     for group in spatial_groups(position, _GROUP_ROWS):
         middle = float(np.median(change[group]))
+        # Pairs of neighbours that go their own ways tell nothing of a scale.
         if float(np.median(np.abs(change[group] - middle))) > _MAX_FACTOR_DEVIATION:
-            continue  # neighbours go their own ways
+            continue
         counted += 1
         factors = middle, float(np.median(growth[group]))
         if abs(factors[0] - factors[1]) > np.log(_MIN_FACTOR_RATIO):

@@ -164,7 +164,7 @@ def picture_keeps_its_place(behaviour: Behaviour) -> Iterator[Violation]:
 @rule(
     "GB064",
     Severity.WARNING,
-    needs=(*REPRODUCIBLE, "GV055", "GV056", "GB063"),
+    needs=(*REPRODUCIBLE, "GG006", "GV055", "GV056", "GB063"),
     kinds=(POST_PROCESS,),
 )
 def picture_keeps_contrast(behaviour: Behaviour) -> Iterator[Violation]:
