@@ -28,7 +28,7 @@ each_case = pytest.mark.parametrize("name", CASES)
 def network_of(case: Case, path: Path) -> StyleTransfer:
     """Build the network of a written case; the style's picture keeps its size."""
     options = {"style": path / "style.png", "style_size": 0} if case.method == "adain" else {}
-    size = f"{case.size[0]}x{case.size[1]}"
+    size = f"{case.size[1]}x{case.size[0]}"
     network = build(path, size, slider=case.amount < 1, align_corners=case.align_corners, **options)
     return network.eval()
 
