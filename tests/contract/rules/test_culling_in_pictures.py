@@ -136,7 +136,6 @@ HOLES = {
         "edge = Mul (z, narrow) in_x = Less (across, edge) in_y = Less (along, edge) "
         "seen = And (in_x, in_y)"
     ),
-    "a far plane within the scene": "seen = Less (z, far_plane)",
     "one side of the picture": (
         f"{_FRUSTUM.replace('seen =', 'inside =')} edge = Mul (s, a_third) "
         "in_right = Less (u, edge) seen = And (inside, in_right)"
@@ -184,6 +183,10 @@ def test_other_rules_name_a_transposed_view_and_a_reversed_axis(tmp_path: Path) 
     )
     assert findings(scene_with_camera(transposed), tmp_path) == ["GI007"]
     assert "GV054" in findings(scene_with_camera("seen = Less (z, small)"), tmp_path)
+
+
+def test_a_far_plane_before_the_scene_leaves_what_is_behind_the_camera(tmp_path: Path) -> None:
+    assert "GV054" in findings(scene_with_camera("seen = Less (z, far_plane)"), tmp_path)
 
 
 def test_a_splat_covers_what_its_formula_says() -> None:

@@ -56,7 +56,7 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
     Hint:
         Cull rows whose depth along +z is below the near plane; the view matrix is OpenCV's, with
-        +x right, +y down and +z forward.
+        +x right, +y down and +z forward. A far plane before the scene hides as much: move it back.
     """
     declared = probe_runs.subject.declared_gaussians
     turned_away_indices = probe_runs.plan.trials.get("away", ())
