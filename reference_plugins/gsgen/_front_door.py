@@ -120,7 +120,7 @@ def validate(
         ConfigInvalid: An option is invalid.
     """
     from gsgen.contract.validation.settings_from_options import make_settings
-    from gsgen.formats.tileset_paths import names_tileset
+    from gsgen.formats.tileset_paths import names_tileset_or_content
     from gsgen.tiles.validation.rules import all_rules
 
     options: dict[str, Any] = {
@@ -135,7 +135,7 @@ def validate(
         "timeout": timeout,
     }
     settings = make_settings(all_rules(), prefix="", **options)
-    if names_tileset(path):
+    if names_tileset_or_content(Path(path)):
         from gsgen.tiles.validation.validate import validate as validate_tileset
 
         return validate_tileset(Path(path), settings)

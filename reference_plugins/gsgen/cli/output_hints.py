@@ -81,14 +81,13 @@ def require_own_output(command: str, output: Path, sources: Sequence[str | Path]
     Raises:
         ConfigInvalid: Another command does.
     """
-    from gsgen.contract.file_kinds.kind import SPLATS
     from gsgen.contract.file_kinds.recognition import kind_of_file
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 
     call, first = command_that_writes(output, sources), str(sources[0]) if sources else ""
     if Path(first).is_file():
         kind, is_model = kind_of_file(Path(first)), first.lower().endswith(MODEL_SUFFIX)
-        is_read = not is_model if kind is None else kind.name == "onnx" or kind.hint == SPLATS
+        is_read = not is_model if kind is None else kind.name == "onnx" or kind.holds_splats
         if not is_read:
             return  # its reader says what the file is
     if call and call.split()[1] != command:

@@ -21,8 +21,13 @@ from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.origins import Origin, join_splats, near_zero, origin_text
-from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
-from gsgen.formats.shared.splats import DEFAULT_UP, PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import (
+    DEFAULT_UP,
+    SPLAT_ARRAY_NAMES,
+    PackedRows,
+    PointCloud,
+    Splats,
+)
 from gsgen.formats.sog.meta import is_streamed_meta
 from gsgen.formats.sog.sog import written_bytes
 from gsgen.formats.tileset_paths import names_tileset
@@ -167,7 +172,7 @@ def _compare_written_splats(
     if "origin" not in codec.keeps_flags:
         read_back_splats = replace(read_back_splats, origin=splats.origin)
     order = codec.order(splats) if codec.order else np.arange(len(splats))
-    return differences(rows_of(splats, order), read_back_splats)
+    return differences(splats[order], read_back_splats)
 
 
 def _convert_parts(

@@ -16,7 +16,6 @@ from gsgen.formats.editing.edits import EDIT_OPTIONS, parse_edit
 from gsgen.formats.editing.filters import morton_ordered, without_floaters
 from gsgen.formats.editing.statistics import histogram, statistics_text, summarise, write_histograms
 from gsgen.formats.shared.harmonics import sh_basis
-from gsgen.formats.shared.splat_values import rows_of
 from support.splat_files import assert_near, opacity, scene
 
 
@@ -77,7 +76,7 @@ def test_filters_keep_matching_splats(seed):
     for (name, text), expected in conditions.items():
         rows = np.flatnonzero(expected)
         if len(rows):
-            assert_near(parse_edit(name, text)(splats), rows_of(splats, rows))
+            assert_near(parse_edit(name, text)(splats), splats[rows])
         else:
             with pytest.raises(ValueInvalid, match="leaves none of 60 splats"):
                 parse_edit(name, text)(splats)

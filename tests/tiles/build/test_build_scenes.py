@@ -9,7 +9,7 @@ import pytest
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError, InputUnreadable
 from gsgen.formats import PointCloud, Splats, write_glb, write_ply, write_spz
-from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES
+from gsgen.formats.shared.splats import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import SilentProgress

@@ -11,6 +11,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.causes.readings import EIGENVALUE_SLACK
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.layout import CULL_OPACITY
+from gsgen.contract.spec.spherical_harmonics import SH_DC
 
 # Shares of values that a mistake explains; the rest are outliers.
 _MIN_INTEGER_SHARE = 0.995
@@ -28,8 +29,6 @@ _MIN_LOGIT_SHARE = 0.4
 _MAX_OVERSHOOT = 0.5
 # Fewer values than this fit any mistake by chance.
 _MIN_VALUES = 8
-# The constant of the SH of degree 0.
-_SH_CONSTANT = 0.28209479177387814
 
 # Words for the mistake and its repair, whether the values look like it, and the repair.
 _Repair = tuple[str, bool, Callable[[np.ndarray], np.ndarray]]
@@ -115,7 +114,7 @@ def explain_rgb(
         (
             "values on both sides suggest SH coefficients: use 0.5 + 0.28209479 · f_dc",
             not is_positive,
-            lambda x: 0.5 + _SH_CONSTANT * x,
+            lambda x: 0.5 + SH_DC * x,
         ),
         (
             "values on both sides suggest logits: apply the sigmoid activation",

@@ -47,3 +47,8 @@ class FileKind:
     name: str
     title: str
     hint: str = ""
+
+    @property
+    def holds_splats(self) -> bool:
+        """Whether gsgen reads splats from such a file."""
+        return self.hint == SPLATS

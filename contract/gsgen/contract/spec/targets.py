@@ -147,8 +147,8 @@ def load_target(name: str, where: str = "--target") -> Target:
         ConfigInvalid: The target has another version.
     """
     base_name, _, version = name.partition("@")
-    base_name = base_name.lower() if base_name.lower() in _contract_targets() else base_name
     contract_targets = _contract_targets()
+    base_name = base_name.lower() if base_name.lower() in contract_targets else base_name
     targets = contract_targets if base_name in contract_targets else known_targets()
     if base_name not in targets:
         raise UnknownName.among("target", base_name, targets, where, _TARGET_WORDS)

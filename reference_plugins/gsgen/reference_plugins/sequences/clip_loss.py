@@ -23,7 +23,7 @@ from gsgen.sdk.binding.session import FrameSession
 from gsgen.sdk.exporting.constant_generator import ConstantRows
 from gsgen.sdk.sequences.clip_source import FrameReader
 from gsgen.sdk.sequences.correspondence import rows_correspond
-from gsgen.sdk.sequences.frame_store import cholesky_factors
+from gsgen.sdk.sequences.frame_store import cholesky_factors, covariance_of
 from gsgen.tiles.scoring.ssim import ssim
 
 if TYPE_CHECKING:
@@ -109,14 +109,8 @@ def _source_moment(read: FrameReader, place: float) -> ConstantRows | None:
         return None
     rows = (1 - part) * first.rows + part * second.rows
     factors = [cholesky_factors(frame.rows[:, layout.COVARIANCE]) for frame in (first, second)]
-    l00, l10, l20, l11, l21, l22 = ((1 - part) * factors[0] + part * factors[1]).T
-    rows[:, layout.COVARIANCE] = np.stack(
-        [
-            *(l00 * l00, l00 * l10, l00 * l20, l10 * l10 + l11 * l11),
-            *(l10 * l20 + l11 * l21, l20 * l20 + l21 * l21 + l22 * l22),
-        ],
-        axis=1,
-    )
+    between = (1 - part) * factors[0] + part * factors[1]
+    rows[:, layout.COVARIANCE] = covariance_of(between.T).T
     appearance = (1 - part) * first.appearance + part * second.appearance
     return _with_rows(first, rows, appearance)
 

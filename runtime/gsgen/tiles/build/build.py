@@ -323,10 +323,10 @@ def _prepare_output(
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
     folder = output / WORK_FOLDER
     try:
-        for stale_file in folder.glob("*"):
-            if fresh or stale_file.name not in (name, _OWNER_FILE):
+        for stale_folder in filter(Path.is_dir, folder.iterdir()):
+            if fresh or stale_folder.name != name:
                 # Workers of a killed build may still write: what they leave goes with the folder.
-                shutil.rmtree(stale_file, ignore_errors=True)
+                shutil.rmtree(stale_folder, ignore_errors=True)
         (folder / name).mkdir(parents=True, exist_ok=True)
         sweep(output)
     except OSError as error:

@@ -16,7 +16,8 @@ from jaxtyping import Float32, Int64, UInt64
 
 from gsgen.formats import Splats
 from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes, morton_codes
-from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, valid_rows
+from gsgen.formats.shared.splat_values import valid_rows
+from gsgen.formats.shared.splats import SPLAT_ARRAY_NAMES
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk
 from gsgen.tiles.gltf.encoding import EXTENT_SIGMAS
 

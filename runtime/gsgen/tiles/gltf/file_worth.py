@@ -6,12 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.shared.quantities import sigmoid
-from gsgen.formats.shared.splat_values import rows_of
+from gsgen.formats.shared.quantities import SH_C0, sigmoid
 from gsgen.formats.shared.splats import Splats
 
 _MEASURED_ROWS = 1024
-_DC = 0.28209479177387814  # the harmonic of degree 0
 
 
 def file_worth(splats: Splats, stored: Splats) -> float:
@@ -28,7 +26,7 @@ def file_worth(splats: Splats, stored: Splats) -> float:
         stored: The same splats in the same order, as a reader decodes them; of the same degree.
     """
     step = max(1, len(splats) // _MEASURED_ROWS)
-    splats, stored = (rows_of(rows, slice(None, None, step)) for rows in (splats, stored))
+    splats, stored = (rows[::step] for rows in (splats, stored))
     scale = np.exp(splats.log_scale.astype(np.float64))
     axes = rotation_matrix(splats.rotation.astype(np.float64))
     # 1. The two longer axes of each splat span the plane onto which both are projected.
@@ -63,6 +61,6 @@ def file_worth(splats: Splats, stored: Splats) -> float:
 def _radiance(splats: Splats) -> Float64[np.ndarray, "n c"]:
     """Return opacity × the harmonics' coefficients of each colour, with the constant of SH."""
     coefficients = splats.sh.astype(np.float64)
-    coefficients[:, 0] += 0.5 / _DC
+    coefficients[:, 0] += 0.5 / SH_C0
     opacity = sigmoid(splats.logit_opacity.astype(np.float64))
     return np.asarray(opacity[:, None] * coefficients.reshape(len(splats), -1))

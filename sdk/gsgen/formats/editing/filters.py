@@ -13,7 +13,6 @@ from jaxtyping import Float
 from gsgen.formats.shared.errors import ValueInvalid, quoted
 from gsgen.formats.shared.morton import grid_order
 from gsgen.formats.shared.quantities import SH_C0, sigmoid
-from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
 
 _COMPARISONS: Final[dict[str, Callable[[np.ndarray, float], np.ndarray]]] = {
@@ -60,7 +59,7 @@ def morton_ordered(splats: Splats) -> Splats:
     position = splats.position.astype(np.float64)
     low, high = position.min(axis=0), position.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
-    return rows_of(splats, grid_order(((position - low) / size * ((1 << 21) - 1)).astype(np.int64)))
+    return splats[grid_order(((position - low) / size * ((1 << 21) - 1)).astype(np.int64))]
 
 
 def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
@@ -77,14 +76,14 @@ def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
             expected="x, y, z of the low corner, then of a corner that is not lower",
         )
     inside_mask = (splats.position >= low) & (splats.position <= high)
-    return rows_of(splats, np.asarray(inside_mask.all(axis=1)))
+    return splats[np.asarray(inside_mask.all(axis=1))]
 
 
 def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:
     """Return the splats whose centres lie in a sphere: its centre, in the file's coordinates, and radius."""
     offset = splats.position.astype(np.float64) - np.subtract(sphere[:3], splats.origin)
     inside_mask = np.square(offset).sum(axis=1) <= sphere[3] ** 2
-    return rows_of(splats, np.asarray(inside_mask))
+    return splats[np.asarray(inside_mask)]
 
 
 def where_value(splats: Splats, condition: str) -> Splats:
@@ -102,7 +101,7 @@ def where_value(splats: Splats, condition: str) -> Splats:
             expected=f"one of {', '.join(FILTER_QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
         )
     with np.errstate(over="ignore"):
-        return rows_of(splats, _COMPARISONS[match[2]](FILTER_QUANTITIES[match[1]](splats), number))
+        return splats[_COMPARISONS[match[2]](FILTER_QUANTITIES[match[1]](splats), number)]
 
 
 def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
@@ -135,7 +134,7 @@ def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
             np.searchsorted(occupied_cells, neighbour_cells), len(occupied_cells) - 1
         )
         total += np.where(occupied_cells[index] == neighbour_cells, counts[index], 0)
-    return rows_of(splats, total[cell_index] - 1 >= neighbours)
+    return splats[total[cell_index] - 1 >= neighbours]
 
 
 def _number(text: str) -> float | None:

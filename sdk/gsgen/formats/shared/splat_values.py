@@ -8,22 +8,18 @@ import math
 import os
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer
+from jaxtyping import Bool, Float32
 
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splats import Splats
+from gsgen.formats.shared.splats import SPLAT_ARRAY_NAMES, Splats
 from gsgen.formats.shared.values import finite_or_allowed, require_finite, require_rows
 
 ALLOWED_INFINITIES = {"logit_opacity": (math.inf, -math.inf), "log_scale": (-math.inf,)}
 """The allowed infinities: opaque, invisible, and flat along an axis."""
-
-SPLAT_ARRAY_NAMES = ("position", "rotation", "log_scale", "logit_opacity", "sh")
-"""Names of the arrays of :class:`Splats`."""
 
 LARGEST_LOG_SCALE: Final = 88.0
 """The largest log scale that can be drawn: float32 holds its exponential."""
@@ -34,13 +30,6 @@ Labels = Mapping[str, Sequence[str]]
 DROP_HINT: Final = "`gsgen convert --drop-invalid` writes a file without such rows"
 """The hint about rows that cannot be drawn."""
 _ZERO_QUATERNION: Final = "an all-zero quaternion"
-
-
-def rows_of(
-    splats: Splats, rows: slice | Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]
-) -> Splats:
-    """Return the splats at the given row indices, or where a mask is true."""
-    return replace(splats, **{name: getattr(splats, name)[rows] for name in SPLAT_ARRAY_NAMES})
 
 
 def drawable(
@@ -83,7 +72,7 @@ def drawable(
         f"row {row} is the first, where {_fault_of_row(splats, row, labels)}{reason}"
     )
     warnings.warn(text, FormatWarning, stacklevel=3)
-    return rows_of(splats, is_valid)
+    return splats[is_valid]
 
 
 def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:

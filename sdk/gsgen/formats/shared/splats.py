@@ -11,6 +11,7 @@ from jaxtyping import Float, Float32
 
 from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
+from gsgen.formats.shared.quantities import SH_C0, sigmoid, unit_or_zero
 
 __all__ = [
     "DEFAULT_UP", "NO_ORIGIN", "SH_COUNTS", "PackedRows", "PointCloud", "Splats", "save_splats_with",
@@ -25,7 +26,8 @@ NO_ORIGIN: Final = (0.0, 0.0, 0.0)
 MAX_FLOAT32_OFFSET: Final = 16384.0
 """The largest coordinate without an origin: beyond it, float32 has steps of over 1/1000."""
 
-_SH_CONSTANT: Final = 0.5 / math.sqrt(math.pi)  # Y_0, the harmonic of degree 0
+SPLAT_ARRAY_NAMES: Final = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+"""Names of the arrays of :class:`Splats`."""
 
 
 def _no_writer(path: str | os.PathLike[str], splats: "Splats") -> None:
@@ -97,8 +99,7 @@ class Splats:
 
     def __getitem__(self, rows: "slice | np.ndarray | list[int]") -> "Splats":
         """Return the splats of some rows: a slice, a mask, or an array of indices."""
-        names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
-        arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in names}
+        arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in SPLAT_ARRAY_NAMES}
         return replace(self, **arrays)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -117,8 +118,7 @@ class Splats:
     @property
     def opacity(self) -> Float32[np.ndarray, " n"]:
         """The opacity of each splat, from 0 to 1: the sigmoid of ``logit_opacity``."""
-        # Half a hyperbolic tangent, which neither overflows nor warns.
-        return np.asarray(0.5 + 0.5 * np.tanh(self.logit_opacity / 2), np.float32)
+        return sigmoid(self.logit_opacity)
 
     @property
     def scale(self) -> Float32[np.ndarray, "n 3"]:
@@ -128,13 +128,12 @@ class Splats:
     @property
     def quaternion(self) -> Float32[np.ndarray, "n 4"]:
         """The rotations as unit quaternions (w, x, y, z)."""
-        length = np.linalg.norm(self.rotation, axis=1, keepdims=True)
-        return np.asarray(self.rotation / np.where(length > 0, length, 1), np.float32)
+        return unit_or_zero(self.rotation)
 
     @property
     def rgb(self) -> Float32[np.ndarray, "n 3"]:
         """The colour of each splat from all sides, of harmonics of degree 0, from 0 to 1."""
-        return np.clip(0.5 + _SH_CONSTANT * self.sh[:, 0], 0, 1).astype(np.float32)
+        return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1).astype(np.float32)
 
     @property
     def degree(self) -> int:

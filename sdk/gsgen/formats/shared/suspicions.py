@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splat_values import rows_of, valid_rows
+from gsgen.formats.shared.splat_values import valid_rows
 from gsgen.formats.shared.splats import Splats
 
 SAMPLED_ROWS: Final = 1 << 13
@@ -29,8 +29,8 @@ def suspicions(splats: Splats, count: int | None = None) -> list[str]:
         count: The number of all splats, if these are a sample.
     """
     count = len(splats) if count is None else count
-    sample = rows_of(splats, slice(None, None, max(1, len(splats) // SAMPLED_ROWS)))
-    sample = rows_of(sample, valid_rows(sample))
+    sample = splats[:: max(1, len(splats) // SAMPLED_ROWS)]
+    sample = sample[valid_rows(sample)]
     if len(sample) < _MIN_ROW_COUNT:
         return []
     messages = []

@@ -14,8 +14,7 @@ import numpy as np
 from gsgen.contract.file_kinds.names import STREAMED_META
 from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, quoted
 from gsgen.formats.shared.origins import join_splats
-from gsgen.formats.shared.splat_values import SPLAT_ARRAY_NAMES, rows_of
-from gsgen.formats.shared.splats import Splats
+from gsgen.formats.shared.splats import SPLAT_ARRAY_NAMES, Splats
 
 STREAMED_KEYS: Final = frozenset(
     {
@@ -83,7 +82,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
                 where=where,
                 expected="each splat once",
             )
-        parts.append(rows_of(splats, selected))
+        parts.append(splats[selected])
     environment = data.get("environment")
     if environment is not None:
         if not _is_inside(environment):

@@ -20,7 +20,6 @@ from gsgen.contract.file_kinds.names import META_FILE
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.formats.shared.files import FilePath, make_folder, replace_file
 from gsgen.formats.shared.origins import join_splats
-from gsgen.formats.shared.splat_values import rows_of
 from gsgen.formats.shared.splats import Splats
 
 _TOP_BIT: Final = 47  # of a Morton code of three 16-bit numbers
@@ -131,7 +130,7 @@ def _node(
     if 0 < split_row < len(codes):
         half_slices = (slice(None, split_row), slice(split_row, None))
         node["children"] = [
-            _node(rows_of(splats, half_slice), codes[half_slice], bit, chunks, leaves)
+            _node(splats[half_slice], codes[half_slice], bit, chunks, leaves)
             for half_slice in half_slices
         ]
     else:

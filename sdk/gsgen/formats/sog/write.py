@@ -16,7 +16,7 @@ from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, naming, replace_file
 from gsgen.formats.shared.morton import grid_codes, grid_order
 from gsgen.formats.shared.quantities import rounded, sigmoid, to_bytes, unit, without_largest
-from gsgen.formats.shared.splat_values import require_drawable, rows_of
+from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.codebook import make_codebook, nearest_codes
 from gsgen.formats.sog.image import encode_image
@@ -108,7 +108,7 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     def write(file: Path, part: Splats) -> None:
         write_sog_parts(file, InMemory(part), is_sorted=True)
 
-    write_levels(path, rows_of(splats, order), nearest_codes[order], write)
+    write_levels(path, splats[order], nearest_codes[order], write)
 
 
 def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = False) -> None:

@@ -4,7 +4,7 @@ Every value that changes with time is a sum over components, X(t) = Σ_r c_r(t) 
 table T of bytes with one row per component and few coefficients c per moment.
 """
 
-__all__ = ["DIGIT_ZERO", "Clip", "Palette", "RowGroup", "Table", "knot_weights"]
+__all__ = ["DIGIT_ZERO", "Clip", "Palette", "RowGroup", "Table", "knot_weights", "sizes_of"]
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -146,13 +146,13 @@ class Clip:
         """The columns of the appearance."""
         return 3 + (0 if self.palette is None else self.palette.entries.planes)
 
-    @property
-    def rows(self) -> Int64[np.ndarray, " n"]:
-        """The row of the source of each Gaussian."""
-        return np.concatenate([group.rows for group in self.groups])
-
 
 SIZE_STEP: Final = 0.0866433976  # ln 2 / 8: eight steps double the size
+
+
+def sizes_of(digits: UInt8[np.ndarray, " n"], unit: float) -> Float64[np.ndarray, " n"]:
+    """Return the sizes that bytes stand for, where 128 stands for ``unit``."""
+    return np.asarray(unit * np.exp(SIZE_STEP * (digits.astype(np.float64) - DIGIT_ZERO)))
 
 
 def knot_weights(time: float, frames: int, *, loop: bool) -> Float64[np.ndarray, " k"]:

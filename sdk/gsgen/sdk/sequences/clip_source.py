@@ -5,8 +5,7 @@ __all__ = ["ClipSource", "FrameReader"]
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from importlib.metadata import version
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,23 +17,11 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
-from gsgen.contract.spec.manifest import (
-    AppearanceOutput,
-    Bounds,
-    CountOutput,
-    GaussiansOutput,
-    GeneratorManifest,
-    GeneratorOutputs,
-    Input,
-    Producer,
-    Space,
-    Tolerances,
-)
-from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.spec.manifest import Bounds, CountOutput, GeneratorManifest, Input
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.constant_generator import ConstantRows
+from gsgen.sdk.exporting.constant_generator import ConstantRows, constant_manifest
 from gsgen.sdk.exporting.pipeline import (
     OPSET,
     Dtype,
@@ -244,38 +231,27 @@ class ClipSource(GraphSource):
         corners: Float32[np.ndarray, "2 3"],
         options: ExportOptions,
     ) -> GeneratorManifest:
-        is_sh = clip.space == "sh"
+        """Return the manifest of a still scene of the rows, with the time and the bounds of all."""
+        appearance = first.appearance[:, : clip.channels]
+        packed = replace(first, rows=first.rows.astype(np.float32), appearance=appearance)
+        manifest = constant_manifest(packed, options.name, family="4d")
         fades = any(len(group.opacity.coefficients) > 1 for group in clip.groups)
-        return GeneratorManifest(
-            name=options.name,
-            family="4d",
-            producer=Producer(f"gsgen {version('gsgen')}"),
-            inputs=(
-                Input(
-                    name="time",
-                    role="time",
-                    shape=(1,),
-                    range=(0.0, 1.0),
-                    default=0.0,
-                    loop=self.loop or None,
-                    frames=clip.frames,
-                    fps=self.fps,
-                ),
-            ),
-            outputs=GeneratorOutputs(
-                GaussiansOutput("gaussians", len(clip), "float32"),
-                AppearanceOutput(
-                    "color_sh" if is_sh else "color_rgb",
-                    clip.space,
-                    degree_of(clip.channels // 3) if is_sh else None,
-                    first.color_space,
-                ),
-                CountOutput("num_points", "upper-bound" if fades else "exact"),
-            ),
-            space=Space(up=first.up, origin=first.origin),
+        time = Input(
+            name="time",
+            role="time",
+            shape=(1,),
+            range=(0.0, 1.0),
+            default=0.0,
+            loop=self.loop or None,
+            frames=clip.frames,
+            fps=self.fps,
+        )
+        count = CountOutput("num_points", "upper-bound" if fades else "exact")
+        return replace(
+            manifest,
+            inputs=(time,),
+            outputs=replace(manifest.outputs, count=count),
             bounds=Bounds.from_points(corners, _BOUNDS_MARGIN),
-            antialias=first.antialias,
-            tolerances=Tolerances(),
         )
 
 

@@ -5,7 +5,8 @@ __all__ = ["decode_moment"]
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.sdk.sequences.clip import SIZE_STEP, Clip, RowGroup, knot_weights
+from gsgen.sdk.sequences.clip import Clip, RowGroup, knot_weights, sizes_of
+from gsgen.sdk.sequences.frame_store import covariance_of
 
 
 def decode_moment(
@@ -24,21 +25,9 @@ def decode_moment(
 
 
 def _group_rows(group: RowGroup, weights: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, "n 10"]:
-    size = group.size_unit * np.exp(SIZE_STEP * (group.size.astype(np.float64) - 128))
+    size = sizes_of(group.size, group.size_unit)
     position = group.place.at(weights)
     if group.motion is not None:
         position = position + group.motion.at(weights) * size
-    l00, l10, l20, l11, l21, l22 = group.factors.at(weights) * size
-    return np.stack(
-        [
-            *position,
-            (group.opacity.at(weights)[0] + 0.5).clip(0, 1),
-            l00 * l00,
-            l00 * l10,
-            l00 * l20,
-            l10 * l10 + l11 * l11,
-            l10 * l20 + l11 * l21,
-            l20 * l20 + l21 * l21 + l22 * l22,
-        ],
-        axis=1,
-    )
+    opacity = (group.opacity.at(weights) + 0.5).clip(0, 1)
+    return np.concatenate([position, opacity, covariance_of(group.factors.at(weights) * size)]).T

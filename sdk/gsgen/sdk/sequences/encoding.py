@@ -3,14 +3,14 @@
 __all__ = ["USUAL_ERROR", "ErrorBudget", "encode_groups"]
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from gsgen.contract.spec import layout
-from gsgen.sdk.sequences.clip import SIZE_STEP, RowGroup, Table
+from gsgen.sdk.sequences.clip import DIGIT_ZERO, SIZE_STEP, RowGroup, Table, sizes_of
 from gsgen.sdk.sequences.frame_store import COLOR, FrameStore
 from gsgen.sdk.sequences.low_rank import Basis, find_basis
 from gsgen.sdk.sequences.quantisation import constant_table, digit_table
@@ -66,12 +66,7 @@ def encode_groups(store: FrameStore, budget: ErrorBudget, *, loop: bool) -> tupl
     """
     facts = _row_facts(store, budget)
     unit = max(float(np.median(facts.size)), 1e-12)
-    facts = _RowFacts(
-        mean=facts.mean,
-        size=np.maximum(facts.size, _MIN_SIZE_SHARE * unit),
-        moves=facts.moves,
-        changes=facts.changes,
-    )
+    facts = replace(facts, size=np.maximum(facts.size, _MIN_SIZE_SHARE * unit))
     # A step of a tenth of the smallest sizes places a centre far more exactly than it is seen.
     place_step = 0.1 * _MIN_SIZE_SHARE * unit
     return tuple(
@@ -136,10 +131,10 @@ class _GroupEncoder:
         self._store, self._rows, self._budget, self._loop = store, rows, budget, loop
         self._unit, self._mean = unit, facts.mean[rows]
         exponent = np.rint(np.log(facts.size[rows] / unit) / SIZE_STEP)
-        self._size_bytes: UInt8[np.ndarray, " m"] = (exponent.clip(-128, 127) + 128).astype(
-            np.uint8
+        self._size_bytes: UInt8[np.ndarray, " m"] = (
+            (exponent + DIGIT_ZERO).clip(0, 255).astype(np.uint8)
         )
-        self._size = unit * np.exp(SIZE_STEP * (self._size_bytes.astype(np.float64) - 128))
+        self._size = sizes_of(self._size_bytes, unit)
         self._moves = bool(facts.moves[rows].any())
         self._changes = bool(facts.changes[rows].any())
 
@@ -222,16 +217,10 @@ class _GroupEncoder:
                 flat = values[name].reshape(frames, -1)
                 flat = flat - flat.mean(axis=0, dtype=np.float64).astype(np.float32)
                 grams[name] += flat @ flat.T
-        tolerances = {
-            "motion": budget.motion,
-            "factors": budget.factors,
-            "opacity": budget.opacity,
-            "color": budget.color,
-        }
         planes = {"motion": 3, "factors": 6, "opacity": 1, "color": 3}
         for name in names:
             basis = find_basis(grams[name], planes[name] * len(self._rows))
-            rank = basis.rank(tolerances[name])
+            rank = basis.rank(getattr(budget, name))
             if name == "motion" and not rank:
                 continue
             bases[name] = Basis(basis.weights[:, :rank], basis.residual[: rank + 1])

@@ -4,7 +4,14 @@ A frame is written once, as it arrives. The encoder then reads blocks of rows ov
 that its memory depends on the number of frames, not on that of Gaussians.
 """
 
-__all__ = ["BASE_CHANNELS", "COLOR", "FrameStore", "cholesky_factors", "higher_terms"]
+__all__ = [
+    "BASE_CHANNELS",
+    "COLOR",
+    "FrameStore",
+    "cholesky_factors",
+    "covariance_of",
+    "higher_terms",
+]
 
 import tempfile
 from collections.abc import Iterator
@@ -44,6 +51,17 @@ def cholesky_factors(covariance: Float[np.ndarray, "n 6"]) -> Float64[np.ndarray
     l21 = (yz - l10 * l20) / l11
     l22 = np.sqrt(np.maximum(zz - l20 * l20 - l21 * l21, floor))
     return np.stack([l00, l10, l20, l11, l21, l22], axis=1)
+
+
+def covariance_of(factors: Float64[np.ndarray, "6 n"]) -> Float64[np.ndarray, "6 n"]:
+    """Return xx xy xz yy yz zz of Σ = L Lᵀ; ``factors`` are l00 l10 l20 l11 l21 l22."""
+    l00, l10, l20, l11, l21, l22 = factors
+    return np.stack(
+        [
+            *(l00 * l00, l00 * l10, l00 * l20, l10 * l10 + l11 * l11),
+            *(l10 * l20 + l11 * l21, l20 * l20 + l21 * l21 + l22 * l22),
+        ]
+    )
 
 
 def higher_terms(appearance: Float[np.ndarray, "n c"]) -> Float32[np.ndarray, "n k"]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
+
+if TYPE_CHECKING:
+    from gsgen.contract.rules.behaviour.coverage_pictures import Lens
 
 
 @rule("GI007", Severity.ERROR, needs=(*REPRODUCIBLE, "GI001", "GM006"))
@@ -129,6 +133,8 @@ class _Sight:
 
     Attributes:
         probe: Its probe.
+        view: Its world→camera matrix.
+        lens: Its lens.
         rows: The drawn rows, float64.
         keys: A hash of each one's position.
         is_drawn: Which rows of all cameras together are drawn.
@@ -139,6 +145,8 @@ class _Sight:
     """
 
     probe: Probe
+    view: Float[np.ndarray, "4 4"]
+    lens: "Lens"
     rows: Float[np.ndarray, "n 10"]
     keys: UInt[np.ndarray, " n"]
     is_drawn: Bool[np.ndarray, " m"]
@@ -227,7 +235,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
         return
     suspects = [s for s in scene.sights if np.count_nonzero(s.is_hidden) >= _MIN_HIDDEN_ROWS]
     suspects.sort(key=lambda sight: -float(sight.is_hidden.sum() / max(sight.is_in_view.sum(), 1)))
-    shares = [_hole_share(behaviour, scene, sight) for sight in suspects[:_PICTURE_COUNT]]
+    shares = [_hole_share(scene, sight) for sight in suspects[:_PICTURE_COUNT]]
     if shares and max(shares) > _MAX_HOLE_SHARE:
         share, sight = max(zip(shares, suspects, strict=False), key=lambda entry: entry[0])
         words = _separation(sight) or "all over the picture"
@@ -287,6 +295,8 @@ def _read_scene(behaviour: Behaviour) -> _Scene | None:
         sights.append(
             _Sight(
                 probe=probe,
+                view=view,
+                lens=lens,
                 rows=own_rows.astype(np.float64),
                 keys=own_keys,
                 is_drawn=is_drawn[stays],
@@ -322,25 +332,17 @@ def _drawn_by_cameras(
             yield probe, rows
 
 
-def _hole_share(behaviour: Behaviour, scene: _Scene, sight: _Sight) -> float:
+def _hole_share(scene: _Scene, sight: _Sight) -> float:
     """Return the share of a camera's picture that is missing, compared with all rows."""
-    from gsgen.contract.rules.behaviour.coverage_pictures import (
-        draw_coverage,
-        lens_of_probe,
-        view_of_probe,
-    )
+    from gsgen.contract.rules.behaviour.coverage_pictures import draw_coverage
 
-    manifest = behaviour.subject.generator
-    assert manifest is not None
-    view, lens = view_of_probe(manifest, sight.probe), lens_of_probe(manifest, sight.probe)
-    assert view is not None
     # Few of many rows are drawn, and larger ones, so that surfaces remain closed.
     step = -(-int(np.count_nonzero(sight.is_in_view)) // _PICTURE_ROWS)
     pictures = []
     for rows, keys in ((scene.rows, scene.keys), (sight.rows, sight.keys)):
         sample = rows[keys % np.uint64(max(step, 1)) == 0].copy()
         sample[:, COVARIANCE] *= step
-        pictures.append(draw_coverage(sample, view, lens, scene.near))
+        pictures.append(draw_coverage(sample, sight.view, sight.lens, scene.near))
     (full, full_depth), (left, left_depth) = pictures
     is_covered = full >= _MIN_COVERAGE
     is_hole = is_covered & (

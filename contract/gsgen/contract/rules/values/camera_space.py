@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract.probing.run_comparison import ProbeRuns, isolated_views, read_seen_rows
-from gsgen.contract.spec.layout import ROW_LENGTH
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
@@ -32,9 +31,9 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
         Return the centres before the view and projection matrices are applied to them.
     """
     declared = probe_runs.subject.declared_gaussians
-    from gsgen.contract.causes.explanations import explain_rows
+    from gsgen.contract.causes.camera_spaces import space_of_still_rows
 
-    space = explain_rows(np.zeros((0, ROW_LENGTH)), cameras=isolated_views(probe_runs))
+    space = space_of_still_rows(isolated_views(probe_runs))
     if space is not None and declared is not None:
         actual = f"the centres are {space.name}: they follow the camera"
         yield Violation.at(
