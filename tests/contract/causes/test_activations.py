@@ -1,5 +1,7 @@
 """Each explanation of values out of range is a repair after which they are in range."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,17 @@ def test_opacity_is_explained_by_its_repair(values: np.ndarray, repair: str) -> 
 def test_opacities_that_no_repair_shows_have_no_cause() -> None:
     assert explain_opacity(np.full(300, -np.inf)) is None
     assert explain_opacity(np.full(300, -20.0)) is None  # the sigmoid leaves nothing to see
+
+
+@pytest.mark.parametrize(
+    "activation",
+    [np.exp, lambda x: np.log1p(np.exp(x)), lambda x: np.maximum(x, 0), lambda x: 5 * OPACITY],
+)
+def test_other_activations_are_neither_percent_nor_a_missing_clamp(
+    activation: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    assert explain_opacity(activation(2 * logit(OPACITY))) is None
+    assert explain_rgb(activation(2 * logit(RGB[:, 0]))[:, None] * np.ones(3)) is None
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,8 @@ _LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
 _MAJORITY_SHARE = 0.9
 # Of logits, at least this share lies outside [0, 1]; the sigmoid would spoil the others.
 _MIN_LOGIT_SHARE = 0.4
+# Of percent, at least this share of the positive values lies above 1: others are hardly visible.
+_MIN_PERCENT_SHARE = 0.9
 # A network that lacks a clamp goes beyond the range by this much at most.
 _MAX_OVERSHOOT = 0.5
 # Fewer values than this fit any mistake by chance.
@@ -55,11 +57,13 @@ def explain_opacity(values: Float[np.ndarray, " n"]) -> tuple[str, str] | None:
     low, high = _finite_range(values)
     outside_share = float(np.mean((values < 0) | (values > 1)))
     is_positive, is_signed_unit = low >= -_RANGE_SLACK, low >= -1 - _RANGE_SLACK and high <= 1.001
+    is_near = low >= -_MAX_OVERSHOOT and high <= 1 + _MAX_OVERSHOOT
+    is_mostly_above = (values > 1).sum() >= _MIN_PERCENT_SHARE * max((values > 0).sum(), 1)
     repairs: list[_Repair] = [
         (_BYTES, is_positive and _are_bytes(values), lambda x: x / 255),
         (
             "these look like percent, 0 to 100: divide by 100",
-            is_positive and 2 < high <= _MAX_PERCENT + _RANGE_SLACK,
+            is_positive and is_mostly_above and 2 < high <= _MAX_PERCENT + _RANGE_SLACK,
             lambda x: x / 100,
         ),
         (
@@ -72,12 +76,10 @@ def explain_opacity(values: Float[np.ndarray, " n"]) -> tuple[str, str] | None:
             not is_positive and outside_share > _MIN_LOGIT_SHARE,
             _sigmoid,
         ),
-        (_CLAMP, is_positive, lambda x: np.clip(x, 0, 1)),
+        (_CLAMP, is_positive and is_near, lambda x: np.clip(x, 0, 1)),
         (
             "a few values on both sides suggest a missing clamp: clamp them",
-            outside_share <= _MIN_LOGIT_SHARE
-            and low >= -_MAX_OVERSHOOT
-            and high <= 1 + _MAX_OVERSHOOT,
+            outside_share <= _MIN_LOGIT_SHARE and is_near,
             lambda x: np.clip(x, 0, 1),
         ),
     ]
@@ -105,7 +107,7 @@ def explain_rgb(
     is_signed_unit = least >= -1 - _RANGE_SLACK and most <= 1 + _RANGE_SLACK and reaches_ends
     repairs: list[_Repair] = [
         (_BYTES, is_positive and _are_bytes(values), lambda x: x / 255),
-        (_CLAMP, is_positive, lambda x: np.clip(x, low, high)),
+        (_CLAMP, is_positive and most <= high + _MAX_OVERSHOOT, lambda x: np.clip(x, low, high)),
         (
             "values within [-1, 1] suggest signed colours: use (x + 1) / 2",
             is_signed_unit,
