@@ -3,17 +3,19 @@
 __all__ = [
     "HISTORIES",
     "JOINTS",
+    "LONG_QUATERNIONS_LABEL",
     "LOOKING_AWAY_LABEL",
     "NEGATED_LABEL",
     "PATH_OFFSET",
     "REPEATED_LABEL",
+    "ROOT_LABEL",
     "SINGLE_JOINT_ANGLE",
     "STRAIGHT_PATH_LABEL",
     "TILTED_LABEL",
     "TURN_AXIS",
     "TURN_STEP",
     "ZERO_LABEL",
-    "joint_of_label",
+    "joints_of_label",
     "trial_probes",
     "turned_away_probes",
 ]
@@ -58,8 +60,12 @@ ZERO_LABEL = "with zero"
 # Name of the probes in which joints turn alone, the angle in radians, and the most joints.
 JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
 _MAX_JOINTS, _JOINT_LABEL = 24, "with a turn of joint "
-# An axis that no bone of a usual rest pose lies along.
-_JOINT_AXIS = np.array([2.0, 3.0, 6.0]) / 7
+_MAX_UNDECLARED_JOINTS = 6
+# Parts of the labels in which the body turns, and in which a child turns with its parent.
+ROOT_LABEL, _MAX_CHAINS, _CHAIN_LABEL = "with a turn of the root", 2, "with turns of joints "
+LONG_QUATERNIONS_LABEL, _LONG = "with quaternions of length 1.1", 1.1
+# Axes that no bone of a usual rest pose lies along.
+_JOINT_AXIS, _CHILD_AXIS = np.array([2.0, 3.0, 6.0]) / 7, np.array([6.0, -2.0, 3.0]) / 7
 # Suffixes of the labels of a camera that is turned about its own centre.
 TILTED_LABEL, LOOKING_AWAY_LABEL = "tilted", "looking away"
 # A tilt by 0.7 about the viewing axis and 0.15 about the vertical, and half a turn.
@@ -200,34 +206,72 @@ def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Ite
 
 
 def _joint_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield the rest pose with all other inputs of a person at their defaults, then single turns.
+    """Yield the rest pose with all other inputs of a person at their defaults, then turns.
 
-    Up to 24 joints turn alone, those nearest to the root first.
+    Up to 24 joints of a declared skeleton turn alone, those nearest to the root first, or six rows
+    of any other pose; then the body turns; then children turn together with their parents.
     """
     from gsgen.contract.spec.input_defaults import default_tensor
 
-    entry = next((entry for entry in _inputs_of_role(manifest, "pose") if entry.joints), None)
+    entry = next(iter(_inputs_of_role(manifest, "pose")), None)
     template = base.inputs[entry.name] if entry else np.zeros(0)
-    if entry is None or template.ndim != 2 or len(entry.joints) != len(template):
+    is_skeleton = entry is not None and len(entry.joints) == len(template)
+    if entry is None or template.ndim != 2 or template.shape[1] not in (3, 4):
         return
-    is_quaternion = template.shape[1] == 4
     rest = np.zeros_like(template)
-    rest[:, 0] = float(is_quaternion)
-    defaults = {
-        other.name: default_tensor(other, base.inputs[other.name].shape)
-        for other in manifest.inputs
-        if other.role not in (*CAMERA_ROLES, *PICTURE_ROLES)
-    }
+    rest[:, 0] = float(template.shape[1] == 4)
+    try:
+        defaults = {
+            other.name: default_tensor(other, base.inputs[other.name].shape)
+            for other in manifest.inputs
+            if other.role not in (*CAMERA_ROLES, *PICTURE_ROLES)
+        }
+    except ValueError:
+        return  # another rule reports a default of another size
     inputs = {name: value.astype(base.inputs[name].dtype) for name, value in defaults.items()}
     yield _changed_probe(base, "in the rest pose", **inputs | {entry.name: rest})
-    for joint in _joints_from_the_root(entry)[:_MAX_JOINTS]:
-        pose = rest.copy()
-        if is_quaternion:
-            half = SINGLE_JOINT_ANGLE / 2
-            pose[joint] = [math.cos(half), *(math.sin(half) * _JOINT_AXIS)]
-        else:
-            pose[joint] = SINGLE_JOINT_ANGLE * _JOINT_AXIS
-        yield _changed_probe(base, f"{_JOINT_LABEL}{joint}", **inputs | {entry.name: pose})
+    if is_skeleton:
+        joints = _joints_from_the_root(entry)[:_MAX_JOINTS]
+    else:
+        count = min(len(template), _MAX_UNDECLARED_JOINTS)
+        joints = sorted({round(row) for row in np.linspace(0, len(template) - 1, count)})
+    for joint in joints:
+        yield _changed_probe(
+            base, f"{_JOINT_LABEL}{joint}", **inputs | {entry.name: _turned(rest, joint)}
+        )
+    if template.shape[1] == 4:
+        pose = np.asarray(_LONG * rest, rest.dtype)
+        yield _changed_probe(base, LONG_QUATERNIONS_LABEL, **inputs | {entry.name: pose})
+    for root in _inputs_of_role(manifest, "root_rotation"):
+        if base.inputs[root.name].shape == (3,) and is_skeleton:
+            turn = np.asarray(SINGLE_JOINT_ANGLE * _JOINT_AXIS, base.inputs[root.name].dtype)
+            yield _changed_probe(base, ROOT_LABEL, **inputs | {entry.name: rest, root.name: turn})
+    for parent, child in _chains(entry)[:_MAX_CHAINS] if is_skeleton else ():
+        pose = _turned(_turned(rest, parent), child, _CHILD_AXIS)
+        yield _changed_probe(base, f"{_CHAIN_LABEL}{parent} {child}", **inputs | {entry.name: pose})
+
+
+def _turned(pose: Array, joint: int, axis: Float[np.ndarray, "3"] = _JOINT_AXIS) -> Array:
+    """Return a pose in which one joint is turned from rest, by axis-angle or a quaternion."""
+    pose, half = pose.copy(), SINGLE_JOINT_ANGLE / 2
+    if pose.shape[1] == 4:
+        pose[joint] = [math.cos(half), *(math.sin(half) * axis)]
+    else:
+        pose[joint] = SINGLE_JOINT_ANGLE * axis
+    return pose
+
+
+def _chains(entry: Input) -> list[tuple[int, int]]:
+    """Return numbers of parents and children, those that carry most joints first, roots' last."""
+    numbers = {joint.name: number for number, joint in enumerate(entry.joints)}
+    parents = [numbers.get(joint.parent or "") for joint in entry.joints]
+    carried = [0] * len(parents)
+    for number in reversed(_joints_from_the_root(entry)):
+        parent = parents[number]
+        if parent is not None:
+            carried[parent] += 1 + carried[number]
+    chains = [(parent, number) for number, parent in enumerate(parents) if parent is not None]
+    return sorted(chains, key=lambda chain: (parents[chain[0]] is None, -carried[chain[1]]))
 
 
 def _joints_from_the_root(entry: Input) -> list[int]:
@@ -238,9 +282,12 @@ def _joints_from_the_root(entry: Input) -> list[int]:
     return sorted(range(len(entry.joints)), key=lambda k: depths[entry.joints[k].name])
 
 
-def joint_of_label(label: str) -> int:
-    """Return the number of the joint that turns alone in a probe."""
-    return int(label.rpartition(_JOINT_LABEL)[2])
+def joints_of_label(label: str) -> tuple[int, ...]:
+    """Return the number of the joint that turns alone in a probe, or of a parent and its child."""
+    for words in (_JOINT_LABEL, _CHAIN_LABEL):
+        if words in label:
+            return tuple(map(int, label.rpartition(words)[2].split()))
+    return ()
 
 
 def _flipped_axis_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:

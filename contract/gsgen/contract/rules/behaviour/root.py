@@ -1,14 +1,16 @@
-"""Validation rules of root motion: translations are added, and rotations are not inverted."""
+"""Validation rules of root motion: translations are added, rotations turn all about the root."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from gsgen.contract._array_types import Float
+from gsgen.contract.causes.pose_readings import explain_turns
+from gsgen.contract.probing.behaviour_probes import JOINTS, ROOT_LABEL
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
-from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.geometry import rotation_matrix, symmetric
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
@@ -20,12 +22,18 @@ _MAX_RIGID_ERROR = 5e-3
 _MAX_VALUE_ERROR = 0.02
 # Distances of rotations, as the Frobenius norm of their difference.
 _MAX_SAME_ROTATION, _MIN_OTHER_ROTATION = 0.02, 0.2
+# The root moves by at most this share of the body's size when the body turns: 0.000 in right
+# models, 0.33 where a person turns about the feet.
+_MAX_ROOT_MOTION = 5e-3
+# A covariance that should change by the first share of its size is wrong by more than the second
+# share of that change in at most the third share of the rows: 0 in right models, 1 in wrong ones.
+_MIN_COVARIANCE_CHANGE, _MAX_COVARIANCE_ERROR, _MAX_WRONG_SHARE = 0.1, 0.3, 0.1
 
-_RunPair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+_RunPair = tuple[Probe, Probe, Float[np.ndarray, "n 10"], Float[np.ndarray, "n 10"]]
 
 
 def _pairs(behaviour: Behaviour, role: str) -> Iterator[_RunPair]:
-    """Yield pairs of model runs that differ in one input, and the Gaussians' centres in both."""
+    """Yield pairs of model runs that differ in one input, and the rows that are drawn in both."""
     declared = behaviour.subject.declared_gaussians
     runs = behaviour.variants(role)
     if declared is None or len(behaviour.subject.inputs_of(role)) != 1 or len(runs) < 2:
@@ -33,12 +41,19 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_RunPair]:
     base, first = runs[0][0], np.asarray(runs[0][1][declared.name], np.float64)
     for probe, outputs in runs[1:]:
         second = np.asarray(outputs[declared.name], np.float64)
-        if first.shape != second.shape:
-            continue
-        drawn = (first[:, OPACITY] >= CULL_OPACITY) & (second[:, OPACITY] >= CULL_OPACITY)
-        drawn &= np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
-        if np.count_nonzero(drawn) >= _MIN_ROWS:
-            yield base, probe, first[drawn, POSITION], second[drawn, POSITION]
+        rows = _rows_drawn_in_both(first, second)
+        if rows is not None:
+            yield base, probe, *rows
+
+
+def _rows_drawn_in_both(
+    first: Float[np.ndarray, "n 10"], second: Float[np.ndarray, "n 10"]
+) -> tuple[Float[np.ndarray, "m 10"], Float[np.ndarray, "m 10"]] | None:
+    if first.shape != second.shape:
+        return None
+    drawn = (first[:, OPACITY] >= CULL_OPACITY) & (second[:, OPACITY] >= CULL_OPACITY)
+    drawn &= np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    return (first[drawn], second[drawn]) if np.count_nonzero(drawn) >= _MIN_ROWS else None
 
 
 @rule("GB041", Severity.ERROR, needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"))
@@ -55,7 +70,7 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
     for base, probe, first, second in _pairs(behaviour, "root_translation"):
         name = behaviour.subject.inputs_of("root_translation")[0][0].name
         translation = (probe.inputs[name] - base.inputs[name]).astype(np.float64)
-        row_motion = second - first
+        row_motion = second[:, POSITION] - first[:, POSITION]
         mean_motion, length = row_motion.mean(axis=0), float(np.linalg.norm(translation))
         is_uniform = np.abs(row_motion - mean_motion).max() <= _MAX_RIGID_ERROR * max(
             length, float(np.abs(mean_motion).max())
@@ -83,19 +98,30 @@ def _vector_text(vector: Float[np.ndarray, "3"]) -> str:
 
 @rule("GB042", Severity.ERROR, needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"))
 def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
-    """A root rotation M that rotates the body rigidly maps each point p to M p, not to Mᵀ p.
+    """A root rotation M turns the body about its root: points p by M p, covariances Σ by M Σ Mᵀ.
 
     Why:
         A matrix that is multiplied from the wrong side, or read in the other memory order, is its
-        inverse: the body turns the other way, and is right at rest alone.
+        inverse: the body turns the other way, and is right at rest alone. One that turns about the
+        feet or the origin leaves its place; covariances that stay stand across the skin.
 
     Hint:
-        Multiply rows from the right by Mᵀ (p Mᵀ), as the tensor holds M row by row.
+        Multiply rows from the right by Mᵀ (p Mᵀ), as the tensor holds M row by row; subtract the
+        position of the root joint before, and add it afterwards. Turn covariances by M Σ Mᵀ.
     """
+    entries = [entry for entry, _ in behaviour.subject.inputs_of("root_rotation")]
+    fault = next(_faults_of_pairs(behaviour), "") or _fault_of_turn(behaviour)
+    if fault:
+        expected = "M p about the root for each centre p, and M Σ Mᵀ for each covariance Σ"
+        yield Violation.at(f"input {entries[0].name}", fault, expected)
+
+
+def _faults_of_pairs(behaviour: Behaviour) -> Iterator[str]:
+    """Yield what is wrong with rotations between runs that differ in the root rotation alone."""
     for base, probe, first, second in _pairs(behaviour, "root_rotation"):
         name = behaviour.subject.inputs_of("root_rotation")[0][0].name
         rotation_before, rotation_after = (_rotation(entry.inputs[name]) for entry in (base, probe))
-        fitted_rotation = _fitted_rotation(first, second)
+        fitted_rotation = _fitted_rotation(first[:, POSITION], second[:, POSITION])
         if rotation_before is None or rotation_after is None or fitted_rotation is None:
             continue
         forward_rotation, reverse_rotation = (
@@ -106,9 +132,68 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
             np.linalg.norm(fitted_rotation - reverse_rotation) <= _MAX_SAME_ROTATION
             and np.linalg.norm(fitted_rotation - forward_rotation) >= _MIN_OTHER_ROTATION
         ):
-            actual = "the body turns backwards, by the inverse rotation: the matrix is transposed"
-            yield Violation.at(f"input {name}", actual, "M p for each centre p")
-            return
+            yield "the body turns backwards, by the inverse rotation: the matrix is transposed"
+        elif np.linalg.norm(fitted_rotation - forward_rotation) <= _MAX_SAME_ROTATION:
+            yield from _faults_of_covariances(fitted_rotation, first, second)
+
+
+def _faults_of_covariances(
+    rotation: Float[np.ndarray, "3 3"],
+    first: Float[np.ndarray, "n 10"],
+    second: Float[np.ndarray, "n 10"],
+) -> Iterator[str]:
+    before, after = symmetric(first[:, COVARIANCE]), symmetric(second[:, COVARIANCE])
+    turned = rotation @ before @ rotation.T
+    change = np.linalg.norm(turned - before, axis=(1, 2))
+    counts = change > _MIN_COVARIANCE_CHANGE * np.linalg.norm(before, axis=(1, 2))
+    is_wrong = np.linalg.norm(after - turned, axis=(1, 2)) > _MAX_COVARIANCE_ERROR * change
+    is_still = np.linalg.norm(after - before, axis=(1, 2)) <= _MAX_COVARIANCE_ERROR * change
+    wrong_count, count = np.count_nonzero(counts & is_wrong), np.count_nonzero(counts)
+    if wrong_count >= _MIN_ROWS and wrong_count > _MAX_WRONG_SHARE * count:
+        stays = np.count_nonzero(counts & is_wrong & is_still) > wrong_count / 2
+        words = "stay as they were" if stays else "turn otherwise"
+        yield f"centres turn with the root, covariances of {wrong_count} of {count} rows {words}"
+
+
+def _fault_of_turn(behaviour: Behaviour) -> str:
+    """Return what is wrong with a body that turns in its rest pose; empty if nothing is."""
+    runs, declared = behaviour.trial_runs(JOINTS), behaviour.subject.declared_gaussians
+    turned = next((run for run in runs if run.probe.label.endswith(ROOT_LABEL)), None)
+    if turned is None or declared is None:
+        return ""
+    first, second = (run.outputs.get(declared.name) for run in (runs[0], turned))
+    rows = None if first is None or second is None else _rows_drawn_in_both(first, second)
+    if rows is None:
+        return ""
+    centers, turned_centers = (part[:, POSITION].astype(np.float64) for part in rows)
+    rotation = _fitted_rotation(centers, turned_centers)
+    manifest = behaviour.subject.manifest
+    root = next(
+        (
+            j
+            for entry in (manifest.inputs if manifest else ())
+            for j in entry.joints
+            if not j.parent
+        ),
+        None,
+    )
+    if rotation is None:
+        return ""
+    values = turned.probe.inputs[behaviour.subject.inputs_of("root_rotation")[0][0].name]
+    explanation = explain_turns([(values.astype(np.float64), rotation)])
+    if explanation is not None:
+        return f"the body turns as if {explanation[0].name}"
+    if root is None or root.rest is None:
+        return ""
+    joint, size = np.array(root.rest), float(np.linalg.norm(np.ptp(centers, axis=0)))
+    offset = turned_centers.mean(axis=0) - rotation @ centers.mean(axis=0)
+    distance = float(np.linalg.norm(rotation @ joint + offset - joint)) / size
+    if distance > _MAX_ROOT_MOTION:
+        return (
+            f"the body turns about another point than its root: joint {root.name!r} moves by "
+            f"{distance:.2g} of the body's size"
+        )
+    return ""
 
 
 def _rotation(value: np.ndarray) -> Float[np.ndarray, "3 3"] | None:

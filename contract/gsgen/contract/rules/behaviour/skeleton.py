@@ -1,4 +1,4 @@
-"""Rules of skeletons (GB): joints stand where the manifest says, and children follow their parents."""
+"""Rules of skeletons (GB): joints turn as given, where they stand, and children follow parents."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -6,10 +6,22 @@ from typing import NamedTuple
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
-from gsgen.contract.probing.behaviour_probes import JOINTS, SINGLE_JOINT_ANGLE, joint_of_label
+from gsgen.contract.causes.pose_readings import (
+    Reading,
+    angles_of,
+    declared_rotation,
+    explain_turns,
+    rigid_motion,
+)
+from gsgen.contract.probing.behaviour_probes import (
+    JOINTS,
+    LONG_QUATERNIONS_LABEL,
+    SINGLE_JOINT_ANGLE,
+    joints_of_label,
+)
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
-from gsgen.contract.spec.manifest import Input, Joint
+from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
@@ -17,27 +29,37 @@ from gsgen.contract.validation.rule import rule
 
 # So many rows must turn rigidly with a joint for a statement about it.
 _MIN_ROWS = 12
-# Rows turn rigidly if a fit leaves at most this share of the body's size.
-_MAX_RESIDUAL = 2e-3
+# Rows turn rigidly if a fit leaves at most the first share of the body's size, and at most the
+# second share of their motion.
+_MAX_RESIDUAL, _MAX_RESIDUAL_OF_MOTION = 2e-3, 0.05
 _FIT_ROUNDS = 8
 # The fitted angle differs from that of the joint by at most this share: rows that hang on several
 # joints turn by less.
 _MAX_ANGLE_ERROR = 0.05
 # A joint moves by at most this share of the body's size when it alone turns: 0.000 for right
-# skeletons, 0.35 and 0.70 for joints that are exchanged or relative to their parents.
-_MAX_JOINT_MOTION = 0.05
+# skeletons, 0.008 where rows are three per cent too small, 0.026 for a body eight per cent taller,
+# 0.35 and 0.70 for joints that are exchanged or relative to their parents.
+_MAX_JOINT_MOTION = 5e-3
+# Joints fit the declared ones times one factor if this share of their distances remains.
+_MAX_SCALE_MISFIT, _MIN_SCALE_ERROR, _MIN_SCALED_JOINTS = 0.2, 0.01, 4
 # Rows move if they do so by this share of the body's size.
 _MIN_MOTION = 1e-3
 # Fewer of a joint's rows than this share follow its parent: 1.00 for right skeletons, 0.00 for
 # parents of another limb.
 _MIN_FOLLOWING_SHARE = 0.1
+# Two turns in the wrong order give another rotation, 0.6 radians from the right one; a fitted one
+# is that within this angle.
+_MAX_CHAIN_ERROR = 0.05
+# Rows move by at most this share of the body's size if quaternions become longer: 0.00 in models
+# that normalise them, 0.2 in others.
+_MAX_MOTION_BY_LENGTH = 0.01
 
 
 class _Turn(NamedTuple):
-    """The rows of one run in which a joint alone turned, beside those at rest."""
+    """The rows of one run in which joints turned, beside those at rest."""
 
-    entry: Input
-    joint: Joint
+    joints: tuple[int, ...]
+    values: Float[np.ndarray, "j w"]
     rest: Float[np.ndarray, "n 3"]
     turned: Float[np.ndarray, "n 3"]
     size: float
@@ -48,97 +70,216 @@ class _Turn(NamedTuple):
         distance = np.linalg.norm(self.turned - self.rest, axis=1)
         return np.asarray(distance > _MIN_MOTION * self.size)
 
+    def motion(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], np.ndarray] | None:
+        """Fit a rigid motion to the rows that hang on the joint alone; return it and those rows.
+
+        None if too few rows turn rigidly.
+        """
+        distance = np.linalg.norm(self.turned - self.rest, axis=1)
+        fitted = self.moved & np.isfinite(distance)
+        for _ in range(_FIT_ROUNDS):
+            if np.count_nonzero(fitted) < _MIN_ROWS:
+                return None
+            rotation, offset = rigid_motion(self.rest[fitted], self.turned[fitted])
+            residual = np.linalg.norm(self.rest @ rotation.T + offset - self.turned, axis=1)
+            limit = min(
+                _MAX_RESIDUAL * self.size, _MAX_RESIDUAL_OF_MOTION * np.median(distance[fitted])
+            )
+            if residual[fitted].max() <= limit:
+                return rotation, offset, fitted
+            # The worse half is left out: those are rows that hang on several joints.
+            fitted &= residual <= max(float(np.median(residual[fitted])), limit / 2)
+        return None
+
+
+def _entry(behaviour: Behaviour) -> Input | None:
+    manifest = behaviour.subject.manifest
+    entries = manifest.inputs if manifest else ()
+    return next((entry for entry in entries if entry.role == "pose"), None)
+
 
 def _turns(behaviour: Behaviour) -> list[_Turn]:
-    """Return the runs in which one joint turned; rows that are not drawn at rest are left out."""
-    declared, manifest = behaviour.subject.declared_gaussians, behaviour.subject.manifest
+    """Return the runs in which joints turned; rows that are not drawn at rest are left out."""
+    declared, entry = behaviour.subject.declared_gaussians, _entry(behaviour)
     runs = behaviour.trial_runs(JOINTS)
-    entry = next((e for e in (manifest.inputs if manifest else ()) if e.joints), None)
-    if declared is None or entry is None or len(runs) < 2:
-        return []
-    rest = runs[0].outputs.get(declared.name)
-    if rest is None:
+    rest = runs[0].outputs.get(declared.name) if declared and runs else None
+    if declared is None or entry is None or rest is None:
         return []
     drawn = (rest[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rest[:, POSITION]).all(axis=1)
     positions = rest[drawn, POSITION].astype(np.float64)
-    if len(positions) < _MIN_ROWS:
-        return []
-    size = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    size = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) >= _MIN_ROWS else 0.0
     turns = []
     for run in runs[1:]:
-        rows = run.outputs.get(declared.name)
-        if rows is not None and rows.shape == rest.shape and size > 0:
+        rows, joints = run.outputs.get(declared.name), joints_of_label(run.probe.label)
+        if rows is not None and rows.shape == rest.shape and size > 0 and joints:
+            values = run.probe.inputs[entry.name][list(joints)].astype(np.float64)
             turned = rows[drawn, POSITION].astype(np.float64)
-            joint = entry.joints[joint_of_label(run.probe.label)]
-            turns.append(_Turn(entry, joint, positions, turned, size))
+            turns.append(_Turn(joints, values, positions, turned, size))
     return turns
 
 
-@rule("GB060", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI030", "GO016"))
+def _misread_turns(behaviour: Behaviour) -> tuple[Input, Reading, str] | None:
+    """Return the pose input, the wrong reading that explains turns of joints, and what was seen."""
+    entry = _entry(behaviour)
+    motions = [
+        (turn.values[0], motion[0])
+        for turn in _turns(behaviour)
+        if len(turn.joints) == 1 and (motion := turn.motion()) is not None
+    ]
+    explanation = explain_turns(motions) if entry is not None and motions else None
+    if entry is None or explanation is None:
+        return None
+    reading, share = explanation
+    seen_angle = np.degrees(float(np.median([angles_of(rotation) for _, rotation in motions])))
+    actual = (
+        f"{share:.0%} of the joints that turn alone by {np.degrees(SINGLE_JOINT_ANGLE):.0f}° turn "
+        f"their rows by {seen_angle:.3g}°, as if {reading.name}"
+    )
+    return entry, reading, actual
+
+
+@rule("GB068", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI015", "GO016"))
+def joints_turn_as_given(behaviour: Behaviour) -> Iterator[Violation]:
+    """A joint that turns alone turns its rows by the angle, and in the direction, that it is given.
+
+    Why:
+        The same numbers are another rotation in degrees, inverted, or with the quaternion's w last.
+        Read so, joints hardly move, or bend the wrong way.
+
+    Hint:
+        Feed radians; check the sign of rotations and the order of quaternions, w x y z.
+    """
+    misread = _misread_turns(behaviour)
+    if misread is not None and misread[1].is_certain:
+        entry, reading, actual = misread
+        expected = "the rotation that the convention defines, right-handed and in radians"
+        yield Violation.at(f"input {entry.name}", actual, expected, hint=reading.hint)
+
+
+@rule("GB036", Severity.WARNING, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI015", "GO016", "GB068"))
+def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
+    """Limbs rotate about the axes of local space that the pose input gives.
+
+    Why:
+        A pose of another program has other axes: Unity's are left-handed, others have z up. If the
+        numbers are read as they come, arms that should rise swing forwards.
+
+    Hint:
+        Convert poses where they are loaded, and let the model take axes x y z of its own space.
+    """
+    misread = _misread_turns(behaviour)
+    if misread is not None and not misread[1].is_certain:
+        entry, reading, actual = misread
+        expected = "rotations about the axes that are given"
+        yield Violation.at(
+            f"input {entry.name}", actual, expected, certainty="possible", hint=reading.hint
+        )
+    share = _motion_by_length(behaviour)
+    if share > _MAX_MOTION_BY_LENGTH:
+        pose = _entry(behaviour)
+        assert pose is not None
+        actual = (
+            f"rows move by {share:.2g} of the body's size if all quaternions have length 1.1: they "
+            "are not normalised"
+        )
+        hint = (
+            "Divide each quaternion by its length inside the model: interpolated ones are shorter."
+        )
+        yield Violation.at(
+            f"input {pose.name}", actual, "the same rows", certainty="possible", hint=hint
+        )
+
+
+def _motion_by_length(behaviour: Behaviour) -> float:
+    """Return how far rows move at rest if quaternions become longer, in sizes of the body."""
+    runs, declared = behaviour.trial_runs(JOINTS), behaviour.subject.declared_gaussians
+    longer = next((r for r in runs if r.probe.label.endswith(LONG_QUATERNIONS_LABEL)), None)
+    if longer is None or declared is None:
+        return 0.0
+    rest, rows = (run.outputs.get(declared.name) for run in (runs[0], longer))
+    if rest is None or rows is None or rest.shape != rows.shape:
+        return 0.0
+    drawn = rest[:, OPACITY] >= CULL_OPACITY
+    motion = np.linalg.norm((rows - rest)[drawn, POSITION].astype(np.float64), axis=1)
+    size = float(np.linalg.norm(np.ptp(rest[drawn, POSITION], axis=0))) if drawn.any() else 0.0
+    return float(np.median(motion)) / size if size > 0 else 0.0
+
+
+@rule("GB060", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI030", "GO016", "GB068"))
 def joints_stand_where_declared(behaviour: Behaviour) -> Iterator[Violation]:
     """A joint that turns alone stays at its declared position: its rows turn about that point.
 
     Why:
         Tools that retarget motion and draw skeletons take the position of a joint from the
-        manifest. With those of other joints, or relative to the parent, limbs turn beside the body.
+        manifest. With those of other joints, of another body, or relative to the parent, limbs turn
+        beside the body.
 
     Hint:
         Give each joint's position in the rest pose in local units, from the origin and not from its
         parent, in the order of the rows of the pose.
     """
+    entry, size = _entry(behaviour), 0.0
+    joints, motions, names = [], [], []
     for turn in _turns(behaviour):
-        motion = _joint_motion(turn)
-        if motion is not None and motion > _MAX_JOINT_MOTION:
-            expected = f"at most {_MAX_JOINT_MOTION} of the body's size"
-            actual = (
-                f"joint {turn.joint.name!r} moves by {motion:.2f} of the body's size when it alone "
-                "turns: its rows turn about another point"
-            )
-            yield Violation.at(f"manifest input {turn.entry.name}", actual, expected)
+        joint = entry.joints[turn.joints[0]] if entry and entry.joints else None
+        motion = turn.motion() if len(turn.joints) == 1 and joint and joint.rest else None
+        if joint is None or joint.rest is None or motion is None:
+            continue
+        if abs(angles_of(motion[0]) - SINGLE_JOINT_ANGLE) <= _MAX_ANGLE_ERROR * SINGLE_JOINT_ANGLE:
+            joints.append(np.array(joint.rest))
+            motions.append(motion[:2])
+            names.append(joint.name)
+            size = turn.size
+    if entry is None or not joints:
+        return
+    shares = [
+        float(np.linalg.norm(rotation @ joint + offset - joint)) / size
+        for joint, (rotation, offset) in zip(joints, motions, strict=True)
+    ]
+    wrong_joints = [k for k, share in enumerate(shares) if share > _MAX_JOINT_MOTION]
+    factor = _factor_of_joints(joints, motions) if wrong_joints else None
+    hint = ""
+    if factor is not None:
+        wrong_joints = [int(np.argmax(shares))]
+        hint = (
+            f"Multiply all joints' positions by {factor:.4g}: they are of a body of another size. "
+            "If they are right, divide the skinning weights of each row by their sum."
+        )
+    for number in wrong_joints:
+        expected = f"at most {_MAX_JOINT_MOTION} of the body's size"
+        actual = (
+            f"joint {names[number]!r} moves by {shares[number]:.2g} of the body's size when it "
+            "alone turns: its rows turn about another point"
+        )
+        if factor is not None:
+            actual += f", as all do, {factor:.4g} times as far from the origin as the rest joints"
+        yield Violation.at(f"manifest input {entry.name}", actual, expected, hint=hint)
 
 
-def _joint_motion(turn: _Turn) -> float | None:
-    """Return how far the rigid motion of a joint's rows moves the joint, in sizes of the body.
+def _factor_of_joints(
+    joints: list[Float[np.ndarray, "3"]],
+    motions: list[tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]],
+) -> float | None:
+    """Return by which factor joints stand farther from the origin than declared; None if by none.
 
-    None if too few rows turn rigidly by the angle of the joint.
+    The points of a rigid motion that stay are a line; it is compared across its direction.
     """
-    if turn.joint.rest is None:
+    displacements = [np.eye(3) - rotation for rotation, _ in motions]
+    lines = [
+        displacement @ joint for displacement, joint in zip(displacements, joints, strict=True)
+    ]
+    declared, seen = np.concatenate(lines), np.concatenate([offset for _, offset in motions])
+    if len(joints) < _MIN_SCALED_JOINTS or not declared.any():
         return None
-    fitted = turn.moved & np.isfinite(turn.turned).all(axis=1)
-    for _ in range(_FIT_ROUNDS):
-        if np.count_nonzero(fitted) < _MIN_ROWS:
-            return None
-        rotation, offset = _rigid_motion(turn.rest[fitted], turn.turned[fitted])
-        residual = np.linalg.norm(turn.rest @ rotation.T + offset - turn.turned, axis=1)
-        if residual[fitted].max() <= _MAX_RESIDUAL * turn.size:
-            break
-        # The worse half is left out: those are rows that hang on several joints.
-        limit = max(float(np.median(residual[fitted])), _MAX_RESIDUAL * turn.size / 2)
-        fitted &= residual <= limit
-    else:
-        return None
-    cosine = (np.trace(rotation) - 1) / 2
-    angle = float(np.arccos(np.clip(cosine, -1, 1)))
-    if abs(angle - SINGLE_JOINT_ANGLE) > _MAX_ANGLE_ERROR * SINGLE_JOINT_ANGLE:
-        return None
-    joint = np.array(turn.joint.rest)
-    return float(np.linalg.norm(rotation @ joint + offset - joint)) / turn.size
-
-
-def _rigid_motion(
-    rest: Float[np.ndarray, "n 3"], turned: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """Return rotation and translation of the best rigid motion between points (Kabsch 1976)."""
-    centers = rest.mean(axis=0), turned.mean(axis=0)
-    left, _, right = np.linalg.svd((turned - centers[1]).T @ (rest - centers[0]))
-    left[:, 2] *= np.sign(np.linalg.det(left @ right)) or 1.0
-    rotation = left @ right
-    return rotation, centers[1] - rotation @ centers[0]
+    factor = float(declared @ seen / (declared @ declared))
+    misfit = np.linalg.norm(seen - factor * declared) / max(np.linalg.norm(seen - declared), 1e-12)
+    is_factor = misfit <= _MAX_SCALE_MISFIT and abs(factor - 1) >= _MIN_SCALE_ERROR
+    return factor if is_factor and factor > 0 else None
 
 
 @rule("GB061", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI030", "GO016"))
 def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
-    """The rows that a joint moves also move when its declared parent turns.
+    """The rows that a joint moves also move when its declared parent turns, and turn after it.
 
     Why:
         A tool that retargets motion turns limbs relative to the parent that the manifest names.
@@ -148,18 +289,48 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
         Name as "parent" the joint that carries this one in the model's own skeleton; check that
         joints stand in the order of the rows of the pose.
     """
-    moved_by = {turn.joint.name: (turn, turn.moved) for turn in _turns(behaviour)}
-    for name, (turn, rows) in moved_by.items():
-        parent = turn.joint.parent
-        if parent not in moved_by or np.count_nonzero(rows) < _MIN_ROWS:
+    entry, turns = _entry(behaviour), _turns(behaviour)
+    if entry is None or not entry.joints:
+        return
+    where = f"manifest input {entry.name}"
+    single_turns = {turn.joints[0]: turn for turn in turns if len(turn.joints) == 1}
+    numbers = {joint.name: number for number, joint in enumerate(entry.joints)}
+    for number, turn in single_turns.items():
+        name, parent = entry.joints[number].name, entry.joints[number].parent
+        parent_turn = single_turns.get(numbers.get(parent or "", -1))
+        if parent_turn is None or np.count_nonzero(turn.moved) < _MIN_ROWS:
             continue
-        if np.count_nonzero(moved_by[parent][1]) < _MIN_ROWS:
+        if np.count_nonzero(parent_turn.moved) < _MIN_ROWS:
             continue  # the parent moves nothing: a root whose rotation is another input
-        share = float(np.mean(moved_by[parent][1][rows]))
+        share = float(np.mean(parent_turn.moved[turn.moved]))
         if share < _MIN_FOLLOWING_SHARE:
             actual = (
                 f"{100 * share:.0f} % of the rows of joint {name!r} move with its parent {parent!r}"
             )
-            yield Violation.at(
-                f"manifest input {turn.entry.name}", actual, "rows that follow the parent"
-            )
+            yield Violation.at(where, actual, "rows that follow the parent")
+    for turn in turns:
+        if len(turn.joints) == 2 and _is_chain_reversed(turn, single_turns):
+            parent, name = (entry.joints[number].name for number in turn.joints)
+            actual = f"rows of joint {name!r} turn as if its parent {parent!r} turned before it"
+            hint = "Multiply the transform of the parent by that of the joint: G = G_parent · L."
+            yield Violation.at(where, actual, "the joint's turn, then the parent's", hint=hint)
+
+
+def _is_chain_reversed(turn: _Turn, single_turns: dict[int, _Turn]) -> bool:
+    """Return whether rows turn by the rotation of a parent first, and then by that of its child."""
+    rows = np.ones(len(turn.rest), bool)
+    for joint in turn.joints:
+        motion = single_turns[joint].motion() if joint in single_turns else None
+        if motion is None:
+            return False
+        expected = declared_rotation(single_turns[joint].values[0])
+        if angles_of(motion[0] @ expected.T) > _MAX_ANGLE_ERROR * SINGLE_JOINT_ANGLE:
+            return False  # the joint has axes of its own, which the manifest does not tell
+        rows &= motion[2]
+    if np.count_nonzero(rows) < _MIN_ROWS:
+        return False
+    parent, child = (declared_rotation(values) for values in turn.values)
+    rotation, _ = rigid_motion(turn.rest[rows], turn.turned[rows])
+    error = angles_of(rotation @ (parent @ child).T)
+    reversed_error = angles_of(rotation @ (child @ parent).T)
+    return bool(error > 2 * _MAX_CHAIN_ERROR and reversed_error <= _MAX_CHAIN_ERROR)

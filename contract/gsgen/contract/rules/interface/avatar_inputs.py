@@ -50,7 +50,7 @@ def _order_faults(entry: Input) -> Iterator[Violation]:
         preceding_input_names.add(joint.name)
 
 
-@rule("GI031", Severity.WARNING, needs=("GM004", "GI015"))
+@rule("GI031", Severity.ERROR, needs=("GM004", "GI015"))
 def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of ARKit's blend weights lies in [0, 1].
 

@@ -38,7 +38,7 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
 
 
-@rule("GM038", Severity.WARNING, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
+@rule("GM038", Severity.ERROR, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
 def used_extensions_present(subject: InspectedModel) -> Iterator[Violation]:
     """Every extension in `extensions_used` is the name of a field somewhere in the manifest.
 
@@ -123,7 +123,7 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 
-@rule("GM034", Severity.WARNING, needs=("GM005",))
+@rule("GM034", Severity.ERROR, needs=("GM005",))
 def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     """The declared memory of a frame is at least the size of the packed rows of one frame.
 

@@ -1,0 +1,91 @@
+"""Poses are judged by turning joints: by which angle, about which axis and point, in which order."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validator import validate
+
+_CROSS = "nine = MatMul (pose, cross)"
+_LOCAL = "local = Add (near, second)"
+_CHILDREN = "left_whole = MatMul (trunk, left) right_whole = MatMul (trunk, right)"
+_MOVED = "moved = Reshape (column, vectors)"
+
+
+def read_as(nodes: str) -> dict[str, str]:
+    """Replace the pose in Rodrigues' formula by what nodes make of it."""
+    return {"squares = Mul (pose, pose)": f"{nodes} squares = Mul (read, read)",
+            _CROSS: _CROSS.replace("pose", "read")}  # fmt: skip
+
+
+# Fault: texts to replace, the rule that notices, and words of the report.
+FAULTS: dict[str, tuple[dict[str, str], str, str]] = {
+    "degrees": (read_as("read = Mul (pose, degree)"), "GB068", "taken for degrees"),
+    "times 57.3": (read_as("read = Div (pose, degree)"), "GB068", "multiplied by 180/π"),
+    "half angles": (read_as("read = Mul (pose, half_one)"), "GB068", "halved"),
+    "inverse": ({_LOCAL: "other = Add (near, second) "
+                 "local = Transpose <perm = [0, 2, 1]> (other)"}, "GB068", "inverted"),
+    "left-handed": (read_as("read = Mul (pose, signs)"), "GB036", "x −y −z"),
+    "z x y": (read_as("read = Gather <axis = 1> (pose, zxy)"), "GB036", "z x y"),
+    "global rotations": (
+        {_CHILDREN: "left_whole = Identity (left) right_whole = Identity (right)",
+         "carried_joints = MatMul (trunk, joint_offsets) joints_at = Add (carried_joints, root)":
+         "joints_at = Identity (joints)"},
+        "GB061", "move with its parent"),
+    "children before parents": (
+        {_CHILDREN: "left_whole = MatMul (left, trunk) right_whole = MatMul (right, trunk)"},
+        "GB061", "turned before it"),
+    "about the origin": (
+        {"shifts = Sub (joints_at, turned_joints)": "shifts = Sub (joints_at, joints_at)"},
+        "GB060",
+        "another point",
+    ),
+    "rows shrunk": ({_MOVED: "whole = Reshape (column, vectors) moved = Mul (whole, shrink)"},
+                    "GB060", "another point"),
+}  # fmt: skip
+RIGHT = {
+    "as it is": {},
+    "rows moved": {_MOVED: "whole = Reshape (column, vectors) moved = Mul (whole, unit)"},
+}
+
+
+def altered(texts: dict[str, str]) -> ModelSpec:
+    model = find("arms_on_a_trunk").draw()
+    for old, new in texts.items():
+        model = model.replace_text(old, new)
+    return model.with_weights(
+        degree=np.float32([np.pi / 180]), half_one=np.float32([0.5]), shrink=np.float32([0.9]),
+        unit=np.float32([1]), signs=np.float32([[1, -1, -1]]), zxy=np.int64([2, 0, 1]),
+    )  # fmt: skip
+
+
+def reported(model: ModelSpec, folder: Path) -> list[tuple[str, str]]:
+    path = folder / "m.onnx"
+    model.write(path)
+    findings = validate(path).findings
+    return [(f.rule, f.message) for f in findings if f.severity is not Severity.INFO]
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_of_the_skeleton_is_named_first(name: str, tmp_path: Path) -> None:
+    texts, rule, words = FAULTS[name]
+    first_rule, message = reported(altered(texts), tmp_path)[0]
+    assert first_rule == rule
+    assert words in message
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_skeletons_have_no_finding(name: str, tmp_path: Path) -> None:
+    assert reported(altered(RIGHT[name]), tmp_path) == []
+
+
+def test_a_pose_without_joints_is_turned_too(tmp_path: Path) -> None:
+    model = altered(FAULTS["degrees"][0])
+    pose = Input(name="pose", role="pose", convention="axis-angle", shape=(3, 3), default="zeros")
+    assert reported(model.with_manifest(inputs=(pose,)), tmp_path)[0][0] == "GB068"
+    assert reported(find("arms_on_a_trunk").draw().with_manifest(inputs=(pose,)), tmp_path) == []
