@@ -48,7 +48,7 @@ FAULTS: dict[str, tuple[dict[str, str], str, str]] = {
     "rows shrunk": ({_MOVED: "whole = Reshape (column, vectors) moved = Mul (whole, shrink)"},
                     "GB060", "another point"),
 }  # fmt: skip
-RIGHT = {
+RIGHT: dict[str, dict[str, str]] = {
     "as it is": {},
     "rows moved": {_MOVED: "whole = Reshape (column, vectors) moved = Mul (whole, unit)"},
 }
@@ -59,8 +59,8 @@ def altered(texts: dict[str, str]) -> ModelSpec:
     for old, new in texts.items():
         model = model.replace_text(old, new)
     return model.with_weights(
-        degree=np.float32([np.pi / 180]), half_one=np.float32([0.5]), shrink=np.float32([0.9]),
-        unit=np.float32([1]), signs=np.float32([[1, -1, -1]]), zxy=np.int64([2, 0, 1]),
+        degree=np.array([np.pi / 180], np.float32), half_one=np.array([0.5], np.float32), shrink=np.array([0.9], np.float32),
+        unit=np.array([1], np.float32), signs=np.array([[1, -1, -1]], np.float32), zxy=np.array([2, 0, 1], np.int64),
     )  # fmt: skip
 
 

@@ -54,7 +54,7 @@ _INVERSE_HINT = (
     "Multiply each column of centres by the matrix R from the left, or rows from the right by its "
     "transpose: as it is, R is transposed once too often."
 )
-# Rest frames of joints are the author's, and may exchange axes: those readings are no proof.
+# Rest frames of joints are the author's, and may exchange axes: those readings prove no mistake.
 _AXES: Final[dict[Reading, Matrix]] = {
     Reading(
         f"axes were read as {' '.join(('−' if sign < 0 else '') + 'xyz'[axis] for axis, sign in zip(order, signs, strict=True))}",

@@ -117,7 +117,7 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _faults_of_pairs(behaviour: Behaviour) -> Iterator[str]:
-    """Yield what is wrong with rotations between runs that differ in the root rotation alone."""
+    """Yield the faults of rotations between runs that differ in the root rotation alone."""
     for base, probe, first, second in _pairs(behaviour, "root_rotation"):
         name = behaviour.subject.inputs_of("root_rotation")[0][0].name
         rotation_before, rotation_after = (_rotation(entry.inputs[name]) for entry in (base, probe))
@@ -156,7 +156,7 @@ def _faults_of_covariances(
 
 
 def _fault_of_turn(behaviour: Behaviour) -> str:
-    """Return what is wrong with a body that turns in its rest pose; empty if nothing is."""
+    """Return the fault of a body that turns in its rest pose; empty if it has none."""
     runs, declared = behaviour.trial_runs(JOINTS), behaviour.subject.declared_gaussians
     turned = next((run for run in runs if run.probe.label.endswith(ROOT_LABEL)), None)
     if turned is None or declared is None:

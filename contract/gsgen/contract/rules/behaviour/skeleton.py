@@ -51,8 +51,8 @@ _MIN_FOLLOWING_SHARE = 0.1
 # is that within this angle.
 _MAX_CHAIN_ERROR = 0.05
 # Rows move by at most this share of the body's size if quaternions become longer: 0.00 in models
-# that normalise them, 0.2 in others.
-_MAX_MOTION_BY_LENGTH = 0.01
+# that normalise them, 0.01 where numbers are blended and nothing turns, 0.12 and more in others.
+_MAX_MOTION_BY_LENGTH = 0.05
 
 
 class _Turn(NamedTuple):
@@ -119,7 +119,7 @@ def _turns(behaviour: Behaviour) -> list[_Turn]:
 
 
 def _misread_turns(behaviour: Behaviour) -> tuple[Input, Reading, str] | None:
-    """Return the pose input, the wrong reading that explains turns of joints, and what was seen."""
+    """Return the pose input, the wrong reading that explains turns of joints, and the turns in words."""
     entry = _entry(behaviour)
     motions = [
         (turn.values[0], motion[0])
@@ -272,8 +272,9 @@ def _factor_of_joints(
     if len(joints) < _MIN_SCALED_JOINTS or not declared.any():
         return None
     factor = float(declared @ seen / (declared @ declared))
-    misfit = np.linalg.norm(seen - factor * declared) / max(np.linalg.norm(seen - declared), 1e-12)
-    is_factor = misfit <= _MAX_SCALE_MISFIT and abs(factor - 1) >= _MIN_SCALE_ERROR
+    misfit = np.linalg.norm(seen - factor * declared)
+    distance = np.linalg.norm(seen - declared)
+    is_factor = misfit <= _MAX_SCALE_MISFIT * distance and abs(factor - 1) >= _MIN_SCALE_ERROR
     return factor if is_factor and factor > 0 else None
 
 
