@@ -59,7 +59,7 @@ def altered(texts: dict[str, str]) -> ModelSpec:
     for old, new in texts.items():
         model = model.replace_text(old, new)
     return model.with_weights(
-        degree=np.array([np.pi / 180], np.float32), half_one=np.array([0.5], np.float32), shrink=np.array([0.9], np.float32),
+        degree=np.array([np.pi / 180], np.float32), half_one=np.array([0.5], np.float32), shrink=np.array([0.4], np.float32),
         unit=np.array([1], np.float32), signs=np.array([[1, -1, -1]], np.float32), zxy=np.array([2, 0, 1], np.int64),
     )  # fmt: skip
 
