@@ -65,7 +65,8 @@ def measure_loss(
             source = _source_moment(read, place)
             if source is None:
                 continue
-            frame = session.run({"time": np.array([place / count], np.float32)}, copy=True)
+            moment = place / _frames(session.manifest)
+            frame = session.run({"time": np.array([moment], np.float32)}, copy=True)
             played = _played(frame, session.manifest, source)
             pictures = [_picture(renderer, moment, camera) for moment in (played, source)]
             ratio = min(psnr(*pictures), _EQUAL_PICTURES_DB)
@@ -87,6 +88,13 @@ def measure_loss(
         f"SSIM {document['ssim_mean']:.4f}; worst {worst['psnr']:.1f} dB, {where}"
     )
     return {"loss": document}, (line,)
+
+
+def _frames(manifest: Manifest | None) -> int:
+    assert isinstance(manifest, GeneratorManifest)
+    (time,) = manifest.inputs
+    assert time.frames is not None
+    return time.frames
 
 
 def _camera(frames: Sequence[ConstantRows]) -> Camera:

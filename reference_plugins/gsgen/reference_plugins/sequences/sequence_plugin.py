@@ -2,9 +2,8 @@
 
 __all__ = ["PLUGIN", "build"]
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -12,7 +11,7 @@ from gsgen.reference_plugins.loading.options import Fps, Loop, note
 from gsgen.sdk.plugins.plugin import Demo, Plugin
 
 if TYPE_CHECKING:
-    from gsgen.sdk.sequences.clip_source import ClipSource
+    from gsgen.reference_plugins.sequences.segmented_clip import ClipExport
 
 _USUAL_QUALITY: Final = 75
 _QUALITY_STEPS: Final = 12  # so many steps halve the error
@@ -55,10 +54,27 @@ def build(
             min=0,
         ),
     ] = 4,
-) -> "ClipSource":
-    """Read frames of splats for their export as an ONNX generator with the input time."""
+    segment: Annotated[
+        float,
+        typer.Option(help="Seconds of a segment, where the output is a scene file.", min=0.01),
+    ] = 2.0,
+    engine: Annotated[
+        str,
+        typer.Option(
+            help="What exports segments: serial, processes, dask (this machine) or dask=ADDRESS."
+        ),
+    ] = "serial",
+    workers: Annotated[
+        int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
+    ] = None,
+) -> "ClipExport":
+    """Read frames of splats for their export as an ONNX generator with the input time.
+
+    With `-o clip.json`, a scene file is written, and a folder of segments that follow each other.
+    """
     from gsgen.contract.errors import ConfigInvalid
     from gsgen.reference_plugins.sequences.frame_files import FrameFiles
+    from gsgen.reference_plugins.sequences.segmented_clip import ClipExport
     from gsgen.sdk.sequences.clip_source import ClipSource
     from gsgen.sdk.sequences.encoding import USUAL_ERROR, ErrorBudget
 
@@ -68,24 +84,17 @@ def build(
     factor = 2.0 ** ((_USUAL_QUALITY - quality) / _QUALITY_STEPS)
     files = FrameFiles.of(frames)
     note(f"{len(files.paths):,} frames, {files.paths[0]} to {files.paths[-1]}")
-    names = [str(path) for path in files.paths]
-    return ClipSource(
-        names=names,
+    clip = ClipSource(
+        names=[str(path) for path in files.paths],
         read=files.read,
         fps=fps,
         loop=loop,
         budget=ErrorBudget().scaled(factor if error is None else error / USUAL_ERROR),
         max_bytes=max_bytes,
-        measure=partial(_measure, read=files.read, names=names, moments=moments)
-        if moments
-        else None,
     )
-
-
-def _measure(path: Path, **options: Any) -> Any:
-    from gsgen.reference_plugins.sequences.clip_loss import measure_loss
-
-    return measure_loss(path, **options)
+    return ClipExport(
+        files=files, clip=clip, moments=moments, seconds=segment, engine=engine, workers=workers
+    )
 
 
 def _write_demo(folder: Path) -> list[str]:

@@ -35,6 +35,7 @@ from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.scene_fields import Fields, fields_of, read_transform, refuse
+from gsgen.runtime.sources.segmented_source import Segment, SegmentedSource, read_segments
 from gsgen.runtime.sources.source import Source
 from gsgen.runtime.sources.stream_settings import StreamOpener
 
@@ -54,15 +55,26 @@ _MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneModel:
-    """A splat file or ONNX generator of a scene file, with its transform to world, [4, 4]."""
+    """A splat file or ONNX generator of a scene file, with its transform to world, [4, 4].
 
-    path: Path
+    Several files that follow each other in time have no path but segments, whose largest has
+    ``capacity`` Gaussians.
+    """
+
+    path: Path | None
+    segments: tuple[Segment, ...]
+    capacity: int
     transform: Float[np.ndarray, "4 4"]
     settings: DrawSettings
     inputs: Mapping[str, np.ndarray]
     keys: Mapping[str, KeyFrames]
     where: str
     visible: bool = True
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files of the model: one, or those of all segments."""
+        return [segment.path for segment in self.segments] if self.path is None else [self.path]
 
 
 @final
@@ -184,6 +196,7 @@ def read_scene(path: str | Path) -> SceneFile:
     posts = tuple(_read_post(part, file.parent) for part in fields.parts("posts"))
     camera = _camera(fields, file.parent)
     keyed = [keys for model in models for keys in model.keys.values()]
+    lengths = [sum(segment.seconds for segment in model.segments) for model in models]
     keyed += [keys for post in posts for keys in post.keys.values()]
     keyed += [camera] if isinstance(camera, KeyFrames) else []
     scene_file = SceneFile(
@@ -198,7 +211,7 @@ def read_scene(path: str | Path) -> SceneFile:
         fov=_read_fov(fields),
         up=fields.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
         kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
-        span=_span(fields, max((keys.times[-1] for keys in keyed), default=0.0)),
+        span=_span(fields, max([keys.times[-1] for keys in keyed] + lengths, default=0.0)),
         annotations=tuple(_read_annotation(part) for part in fields.parts("annotations")),
     )
     fields.close()
@@ -232,20 +245,15 @@ def open_scene(
         GsgenError: A model cannot be opened; the message names its location in the scene file.
     """
     scene_file = scene if isinstance(scene, SceneFile) else read_scene(scene)
+
+    def open_file(path: Path) -> Source:
+        return open_source(path, provider, (sizes or {}).get(path), stream, confined, origin)
+
     with ExitStack() as exit_stack:
         sources: list[Source] = []
         for model in scene_file.models:
             if not model.visible:
                 continue
-            open_file = partial(
-                open_source,
-                model.path,
-                provider,
-                (sizes or {}).get(model.path),
-                stream,
-                confined,
-                origin,
-            )
             sources.append(_open_model(model, open_file, scene_file.span))
             exit_stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes if _is_drawn(mesh)]
@@ -268,10 +276,18 @@ def _is_drawn(mesh: SceneMesh) -> bool:
     return mesh.visible and mesh.path.suffix.lower() != _FBX
 
 
-def _open_model(model: SceneModel, open_file: Callable[[], Source], span: Span | None) -> Source:
-    if is_scene_file(model.path):
-        refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
-    nested_fields = locate_errors(open_file, f"{model.where}.path")
+def _open_model(
+    model: SceneModel, open_file: Callable[[Path], Source], span: Span | None
+) -> Source:
+    field = "segments" if model.path is None else "path"
+    if any(map(is_scene_file, model.paths)):
+        refuse("is a scene file, expected a splat file or a generator", f"{model.where}.{field}")
+    opening: Callable[[], Source] = (
+        partial(SegmentedSource, model.where, model.segments, model.capacity, open_file)
+        if model.path is None
+        else partial(open_file, model.path)
+    )
+    nested_fields = locate_errors(opening, f"{model.where}.{field}")
     try:
         return PlacedSource(
             nested_fields,
@@ -342,8 +358,11 @@ def _reject_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def _read_model_entry(fields: Fields, folder: Path) -> SceneModel:
     opacity_scale = fields.number("opacity_scale", low=0)
     inputs, keys = fields.values_or_keys("inputs")
+    segments, capacity = read_segments(fields, folder)
     model = SceneModel(
-        path=folder / fields.required_text("path"),
+        path=None if segments else folder / fields.required_text("path"),
+        segments=segments,
+        capacity=capacity,
         transform=read_transform(fields),
         settings=DrawSettings(
             opacity_scale=1.0 if opacity_scale is None else opacity_scale,

@@ -21,7 +21,7 @@ from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 from gsgen.contract._safe_text import for_html
 from gsgen.contract.model.model_file import open_model
@@ -177,7 +177,7 @@ def files_shown(paths: Iterable[Path]) -> list[PageFile]:
     for path in paths:
         if is_scene_file(path):
             scene = read_scene(path)
-            shown += [PageFile(model.path) for model in scene.models]
+            shown += [PageFile(file) for model in scene.models for file in model.paths]
             shown += [PageFile(mesh.path, is_mesh=True) for mesh in scene.meshes]
             shown += [PageFile(post.path) for post in scene.posts]
         else:
@@ -189,11 +189,15 @@ def scene_bytes(path: Path, addresses: Sequence[str]) -> bytes:
     """Return a scene file whose files have other addresses, one for each of ``files_shown``."""
     document = json.loads(path.read_text("utf-8"))
     remaining = iter(addresses)
+
+    def moved(part: str | dict[str, Any]) -> dict[str, Any]:
+        own = part if isinstance(part, dict) else {}
+        if own.get("segments"):
+            return {**own, "segments": [moved(segment) for segment in own["segments"]]}
+        return {**own, "path": next(remaining)}
+
     for field in ("models", "meshes", "posts"):
-        document[field] = [
-            {**(part if isinstance(part, dict) else {}), "path": next(remaining)}
-            for part in document.get(field) or []
-        ]
+        document[field] = [moved(part) for part in document.get(field) or []]
     return json.dumps(document).encode()
 
 

@@ -113,15 +113,15 @@ class Clip:
         groups: Its Gaussians, in the order of the rows.
         palette: Their SH coefficients of degree 1 and higher; None without any.
         space: Whether colours are SH or RGB.
-        frames: Number of frames of the source.
-        loop: Whether the end continues at the start.
+        frames: Frames that the times from 0 to 1 span.
+        knots: Rows of coefficients: one for each frame, and one more if the clip ends in another.
     """
 
     groups: tuple[RowGroup, ...]
     palette: Palette | None
     space: Literal["sh", "rgb"]
     frames: int
-    loop: bool
+    knots: int
 
     def __len__(self) -> int:
         return sum(len(group) for group in self.groups)
@@ -155,12 +155,11 @@ def sizes_of(digits: UInt8[np.ndarray, " n"], unit: float) -> Float64[np.ndarray
     return np.asarray(unit * np.exp(SIZE_STEP * (digits.astype(np.float64) - DIGIT_ZERO)))
 
 
-def knot_weights(time: float, frames: int, *, loop: bool) -> Float64[np.ndarray, " k"]:
+def knot_weights(time: float, frames: int, knots: int) -> Float64[np.ndarray, " k"]:
     """Return the weights of a clip's knots at a time in [0, 1], by linear interpolation.
 
-    Knot k is frame k, at k / ``frames``. A loop has one more, which is the first frame again;
-    without it the last frame lasts until the end.
+    Knot k is frame k, at k / ``frames``. One more is the frame that the clip ends in: the first
+    one of a loop, or that of the next segment. Without it the last frame lasts until the end.
     """
-    last = frames if loop else frames - 1
-    place = min(time * frames, last)
-    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place - np.arange(last + 1))))
+    place = min(time * frames, knots - 1)
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place - np.arange(knots))))

@@ -128,10 +128,9 @@ def clip_model(clip: Clip, manifest: GeneratorManifest, opset: int) -> ir.Model:
 
 def _knot_weights(graph: _GraphWriter, time: ir.Value, clip: Clip) -> ir.Value:
     """Return the weights [1, K] of the knots: hat functions of the time."""
-    last = clip.frames if clip.loop else clip.frames - 1
     place = graph.op("Mul", time, graph.scalar(clip.frames))
-    place = graph.op("Min", place, graph.scalar(last))
-    knots = graph.weight(np.arange(last + 1, dtype=np.float32)[None])
+    place = graph.op("Min", place, graph.scalar(clip.knots - 1))
+    knots = graph.weight(np.arange(clip.knots, dtype=np.float32)[None])
     distance = graph.op("Abs", graph.op("Sub", place, knots))
     return graph.op("Relu", graph.op("Sub", graph.scalar(1.0), distance))
 

@@ -64,6 +64,8 @@ class ClipSource(GraphSource):
         read: Reads a frame by its number.
         fps: Frames a second at natural speed.
         loop: Whether the end continues at the start.
+        joined: Whether the last of the names is the frame that the clip ends in, at time 1: the
+            first one of the next segment.
         budget: Errors that the encoded sequence may have.
         max_bytes: Bytes that the tables may have: errors grow until they fit.
         measure: Measures the loss of a written clip, as numbers by name and as lines of text.
@@ -73,6 +75,7 @@ class ClipSource(GraphSource):
     read: FrameReader
     fps: float | None = None
     loop: bool = False
+    joined: bool = False
     budget: ErrorBudget = field(default_factory=ErrorBudget)
     max_bytes: int | None = None
     measure: Callable[[Path], tuple[Mapping[str, Any], tuple[str, ...]]] | None = None
@@ -200,8 +203,8 @@ class ClipSource(GraphSource):
                 groups=groups,
                 palette=None if palette is None else palette.reordered(rows),
                 space=first.space,
-                frames=store.frames,
-                loop=self.loop,
+                frames=store.frames - self.joined,
+                knots=store.frames + self.loop,
             )
 
         clip = encode(1.0)

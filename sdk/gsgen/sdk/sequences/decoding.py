@@ -13,7 +13,7 @@ def decode_moment(
     clip: Clip, time: float
 ) -> tuple[Float64[np.ndarray, "n 10"], Float64[np.ndarray, "n c"]]:
     """Return the packed rows and the appearance of a clip at a time in [0, 1]."""
-    weights = knot_weights(time, clip.frames, loop=clip.loop)
+    weights = knot_weights(time, clip.frames, clip.knots)
     rows = np.concatenate([_group_rows(group, weights) for group in clip.groups])
     color = np.concatenate([group.color.at(weights).T for group in clip.groups])
     if clip.space == "rgb":

@@ -54,7 +54,8 @@ def scene_inputs(files: "Iterable[SceneFile]") -> list[Path]:
     """Return the paths that scene files name: models, meshes, post-process models and cameras."""
     paths: list[Path] = []
     for file in files:
-        paths += [model.path for model in file.models] + [mesh.path for mesh in file.meshes]
+        paths += [path for model in file.models for path in model.paths]
+        paths += [mesh.path for mesh in file.meshes]
         paths += [post.path for post in file.posts]
         paths += _camera_files(file.camera if isinstance(file.camera, str) else None)
     return paths

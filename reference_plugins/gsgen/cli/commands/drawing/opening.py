@@ -92,7 +92,7 @@ def open_scenes(
     files = read_scene_files(scenes)
     if not scene_posts:
         files = {path: replace(file, posts=()) for path, file in files.items()}
-    model_paths = [model.path for file in files.values() for model in file.models]
+    model_paths = [path for file in files.values() for model in file.models for path in model.paths]
     model_paths += [model.path for file in files.values() for model in file.posts]
     with ExitStack() as exit_stack:
         confined = confined_models([*scenes, *model_paths], post or (), limits, provider)

@@ -1,0 +1,287 @@
+"""Exports a sequence as segments: clips of some seconds each, and a scene file that plays them.
+
+A player opens the segment of its moment, and the next. The first segment is the first frame as SOG,
+so that a picture is there before a clip is. Each segment is a task that writes its file whole, and a
+record of its inputs: a stopped export resumes after its last segment, and any engine writes the same
+bytes.
+"""
+
+__all__ = ["ClipExport"]
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.units import format_bytes
+from gsgen.formats import Splats, write_sog
+from gsgen.formats.shared.splats import NO_ORIGIN
+from gsgen.reference_plugins.sequences.clip_loss import measure_loss
+from gsgen.reference_plugins.sequences.frame_files import FrameFiles
+from gsgen.runtime.sources.key_frames import DEFAULT_FPS
+from gsgen.sdk.exporting.pipeline import Exported, ExportOptions, GraphSource, check_contract
+from gsgen.sdk.sequences.clip_source import ClipSource
+from gsgen.tiles.build.engines.opening import open_engine
+from gsgen.tiles.build.files import read_json, write_json
+from gsgen.tiles.loading.leaves import open_splats
+
+_SCENE_SUFFIX: Final = ".json"
+_RECORDS: Final = ".gsgen-export"  # folder of the finished segments' records
+_MIN_FRAMES: Final = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipExport(GraphSource):
+    """Frames of splat files that are exported as one clip, or as a scene file of segments.
+
+    Attributes:
+        files: The frames.
+        clip: Options of the clip, of whose frames ``names`` and ``read`` are set here.
+        moments: How many moments are drawn and compared; 0 for none.
+        seconds: The length of a segment.
+        engine: Runs the exports of segments: serial, processes, dask or dask=ADDRESS.
+        workers: Processes; as many as there are processor cores where absent.
+    """
+
+    files: FrameFiles
+    clip: ClipSource
+    moments: int
+    seconds: float
+    engine: str
+    workers: int | None
+
+    def export(self, path: str | os.PathLike[str], **options: Any) -> Exported:
+        """Export the frames; a path that ends in .json is that of a scene file of segments."""
+        path = Path(path)
+        if path.suffix.lower() != _SCENE_SUFFIX:
+            return self._part(range(len(self.files.paths)), joined=False).export(path, **options)
+        return self._export_segments(path, **options)
+
+    def _part(self, numbers: Sequence[int], *, joined: bool) -> ClipSource:
+        """Return the clip of some frames."""
+        files = replace(self.files, paths=tuple(self.files.paths[number] for number in numbers))
+        names = [str(path) for path in files.paths]
+        measure = partial(measure_loss, read=files.read, names=names, moments=self.moments)
+        loop = self.clip.loop and len(numbers) == len(self.files.paths) and not joined
+        return replace(
+            self.clip,
+            names=names,
+            read=files.read,
+            loop=loop,
+            joined=joined,
+            measure=measure if self.moments else None,
+        )
+
+    def _tasks(self, folder: Path, options: Mapping[str, Any]) -> Iterator["_SegmentTask"]:
+        """Yield the tasks of all segments, which together last as long as the frames."""
+        frames = len(self.files.paths)
+        fps = self.clip.fps or DEFAULT_FPS
+        first = open_splats(self.files.paths[0])
+        has_still = isinstance(first, Splats) and first.origin == NO_ORIGIN
+
+        def task(number: int, numbers: Sequence[int], *, joined: bool) -> _SegmentTask:
+            file = folder / f"{number:04}.{'onnx' if len(numbers) > 1 else 'sog'}"
+            return _SegmentTask(
+                file=file, numbers=tuple(numbers), joined=joined, export=self, options=options
+            )
+
+        if has_still:
+            yield task(0, (0,), joined=False)
+        # The last segment of a sequence that does not loop has its last two frames, at least.
+        length = max(1, round(self.seconds * fps))
+        starts = list(range(int(has_still), max(frames - 1, 1), length))
+        ends = [*starts, frames if self.clip.loop else frames - 1]
+        for index, (start, end) in enumerate(pairwise(ends)):
+            is_last = index == len(starts) - 1
+            numbers = [number % frames for number in range(start, end + 1)]
+            yield task(index + has_still, numbers, joined=not is_last or self.clip.loop)
+
+    def _export_segments(self, path: Path, **options: Any) -> Exported:
+        if len(self.files.paths) < _MIN_FRAMES:
+            message = f"has {len(self.files.paths)} frames, expected three or more for segments"
+            raise ConfigInvalid(message, where="FRAMES", hint="Write one clip: -o clip.onnx")
+        progress = options.pop("progress")
+        folder = path.with_suffix("")
+        name = options.pop("name") or path.stem
+        if folder.exists() and not folder.is_dir():
+            message = "is a file, expected a folder for the segments"
+            raise ConfigInvalid(message, where=str(folder), hint="Name another scene file.")
+        (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
+        tasks = list(self._tasks(folder, {**options, "name": name}))
+        records: dict[int, dict[str, Any]] = {}
+        with open_engine(self.engine, self.workers) as engine:
+            for index, record in engine.run(_export_segment, tasks):
+                records[index] = record
+                progress(f"segment {len(records)} of {len(tasks)}")
+        segments = [records[index] for index in range(len(tasks))]
+        fps = self.clip.fps or DEFAULT_FPS
+        document = {
+            "gsgen_scene": "1.0",
+            "models": [
+                {
+                    "segments": [
+                        {"path": f"{folder.name}/{task.file.name}", "seconds": task.frames / fps}
+                        for task in tasks
+                    ],
+                    "capacity": max(record["rows"] for record in segments),
+                }
+            ],
+            "timeline": {
+                "seconds": sum(task.frames for task in tasks) / fps,
+                "fps": fps,
+                "loop": self.clip.loop,
+            },
+        }
+        with atomic_write(path) as draft:
+            draft.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+        _remove_others(folder, {task.file for task in tasks})
+        model = next(task.file for task in tasks if task.is_clip)
+        report = check_contract(
+            model, ExportOptions(path=model, name=name, progress=progress, **_checked(options))
+        )
+        return _result(path, tasks, segments, report)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SegmentTask:
+    """A segment to export.
+
+    Attributes:
+        file: To be written.
+        numbers: Of its frames.
+        joined: Whether the last of them is the first one of the next segment.
+        export: The whole export.
+        options: Of each clip.
+    """
+
+    file: Path
+    numbers: tuple[int, ...]
+    joined: bool
+    export: ClipExport
+    options: Mapping[str, Any]
+
+    @property
+    def is_clip(self) -> bool:
+        """Whether the segment has more than the first frame."""
+        return len(self.numbers) > 1
+
+    @property
+    def frames(self) -> int:
+        """How many frames the segment lasts."""
+        return len(self.numbers) - self.joined
+
+    def key(self) -> str:
+        """Return a digest of all that the bytes of the segment follow from."""
+        clip = self.export.clip
+        digest = hashlib.sha256()
+        facts = [version("gsgen"), self.numbers, self.joined, clip.loop, clip.fps, clip.max_bytes]
+        facts += [clip.budget, self.export.moments, self.export.files.origin]
+        options = {key: value for key, value in self.options.items() if key != "settings"}
+        facts += [sorted(options.items())]
+        digest.update(repr(facts).encode())
+        for number in self.numbers:
+            with open(self.export.files.paths[number], "rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        return digest.hexdigest()
+
+
+def _export_segment(task: _SegmentTask) -> dict[str, Any]:
+    """Write a segment unless its record says that it is there; return the record."""
+    record_file = task.file.parent / _RECORDS / f"{task.file.stem}.json"
+    key = task.key()
+    if record_file.exists() and task.file.exists():
+        record: dict[str, Any] = read_json(record_file)
+        if record["key"] == key:
+            return record
+    record = {"key": key}
+    if task.is_clip:
+        clip = task.export._part(task.numbers, joined=task.joined)
+        exported = clip.export(task.file, **task.options)
+        record |= {"rows": exported.measured["rows"], "measured": exported.measured}  # type: ignore[index]
+        record["notes"] = list(exported.notes)
+    else:
+        content = open_splats(task.export.files.paths[task.numbers[0]], drop_invalid=True)
+        assert isinstance(content, Splats)
+        with atomic_write(task.file) as draft:
+            write_sog(draft, content)
+        record |= {"rows": len(content), "measured": None, "notes": []}
+    write_json(record_file, record)
+    return record
+
+
+def _checked(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a validation."""
+    return {name: options[name] for name in ("opset", "target", "settings")}
+
+
+def _remove_others(folder: Path, files: set[Path]) -> None:
+    """Remove the records, and segments of an earlier export."""
+    shutil.rmtree(folder / _RECORDS)
+    for file in folder.iterdir():
+        if file.suffix in (".onnx", ".sog") and file.stem.isdecimal() and file not in files:
+            file.unlink()
+
+
+def _result(
+    path: Path, tasks: Sequence[_SegmentTask], records: Sequence[Mapping[str, Any]], report: Any
+) -> Exported:
+    """Return what the records of all segments say together."""
+    sizes = [task.file.stat().st_size for task in tasks]
+    measured = [record["measured"] for record in records if record["measured"]]
+    tables: dict[str, int] = {}
+    for part in measured:
+        for name, size in part["table_bytes"].items():
+            tables[name] = tables.get(name, 0) + size
+    frames = sum(task.frames for task in tasks)
+    losses = [part["loss"] for part in measured if part.get("loss")]
+    lines = [
+        f"{len(tasks)} segments in {tasks[0].file.parent}: {format_bytes(sum(sizes))}, the first has "
+        f"{format_bytes(sizes[0])}, the largest {format_bytes(max(sizes))}"
+    ]
+    loss = None
+    if losses:
+        worst = min(losses, key=lambda part: part["psnr_worst"])
+        moments = [moment for part in losses for moment in part["moments"]]
+        loss = {
+            "psnr_mean": round(sum(moment["psnr"] for moment in moments) / len(moments), 2),
+            "psnr_worst": worst["psnr_worst"],
+            "ssim_mean": round(sum(moment["ssim"] for moment in moments) / len(moments), 5),
+            "worst_frame": worst["worst_frame"],
+        }
+        lines.append(
+            f"drawn at {len(moments)} moments: PSNR {loss['psnr_mean']:.1f} dB; worst "
+            f"{loss['psnr_worst']:.1f} dB, {loss['worst_frame']}"
+        )
+    first = next(task.file for task in tasks if task.is_clip)
+    text = open_model(first).manifest_text
+    assert text is not None
+    rows = max(record["rows"] for record in records)
+    notes = dict.fromkeys(note for record in records for note in record["notes"])
+    return Exported(
+        path=path,
+        manifest=loads(text),
+        report=report,
+        dtype="float32",
+        contents=f"{frames:,} frames of up to {rows:,} Gaussians",
+        notes=tuple(notes),
+        measured={
+            "frames": frames,
+            "rows": rows,
+            "file_bytes": sum(sizes),
+            "segment_bytes": sizes,
+            "table_bytes": tables,
+            "loss": loss,
+        },
+        lines=tuple(lines),
+    )

@@ -1,0 +1,122 @@
+"""A scene file of segments plays the frames, resumes, and is the same bytes from any engine."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.contract.spec import layout
+from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.sources.opening import open_source
+from gsgen.runtime.sources.scene_file import open_scene
+from support.commands import gsgen_here
+
+ROWS, FRAMES, FPS = 300, 9, 10
+OPTIONS = ("--fps", str(FPS), "--segment", "0.3", "--level", "static", "--moments", "0")
+
+
+def export(folder: Path, *options: str) -> dict[str, bytes]:
+    """Export the frames of a folder, and return the bytes of all files that were written."""
+    scene = folder / "clip.json"
+    ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(scene), *options)
+    assert ran.code == 0, ran.err
+    files = [scene, *(folder / "clip").iterdir()]
+    return {file.name: file.read_bytes() for file in files}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("segments")
+    write_sequence(folder / "frames", rows=ROWS, frames=FRAMES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(folder: Path) -> dict[str, bytes]:
+    return export(folder, *OPTIONS, "--loop")
+
+
+def test_segments_last_as_long_as_the_frames(written: dict[str, bytes]) -> None:
+    """The first one is a picture of its own; a loop ends in its first frame."""
+    assert set(written) == {"clip.json", "0000.sog", "0001.onnx", "0002.onnx", "0003.onnx"}
+    document = json.loads(written["clip.json"])
+    (model,) = document["models"]
+    assert model["capacity"] == ROWS
+    seconds = [segment["seconds"] for segment in model["segments"]]
+    np.testing.assert_allclose(seconds, [0.1, 0.3, 0.3, 0.2])
+    assert document["timeline"] == {"seconds": FRAMES / FPS, "fps": FPS, "loop": True}
+
+
+@pytest.mark.usefixtures("written")
+def test_every_moment_is_that_of_the_frames(folder: Path) -> None:
+    """Also at the seams, in any order, and half-way between frames of different segments."""
+    frames = open_source(folder / "frames")
+    (source,) = open_scene(folder / "clip.json")
+    positions = []
+    for number in range(FRAMES):
+        frames.update(None, {"frame": np.array([number])})
+        rows = frames.data.rows[:ROWS].astype(np.float64)
+        positions.append(rows[rows[:, layout.OPACITY] > 0.05, layout.POSITION])
+    try:
+        for number in (8, 0, 4, 3, 1, 7, 6):
+            source.update(None, {"time": number / FPS})
+            assert nearest(source.data.rows[: source.count], positions[number]) < 0.02
+        before, after = ends_of(source, 4 / FPS)
+        np.testing.assert_allclose(before, after, atol=0.02)
+    finally:
+        source.close()
+
+
+def nearest(rows: np.ndarray, expected: np.ndarray) -> float:
+    distances = np.linalg.norm(rows[None, :, :3] - expected[:, None], axis=2)
+    return float(distances.min(axis=1).max())
+
+
+def ends_of(source: object, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return sorted coordinates just before and at a seam."""
+    moments = []
+    for moment in (time - 1e-5, time):
+        source.update(None, {"time": moment})  # type: ignore[attr-defined]
+        rows = source.data.rows[source.data.rows[:, 3] > 0.05]  # type: ignore[attr-defined]
+        moments.append(np.sort(rows[:, :3], axis=0))
+    return moments[0], moments[1]
+
+
+@pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
+def test_a_stopped_export_resumes_to_the_same_bytes(
+    written: dict[str, bytes], tmp_path: Path, engine: str
+) -> None:
+    write_sequence(tmp_path / "frames", rows=ROWS, frames=FRAMES)
+    last = tmp_path / "frames" / "0008.ply"
+    content = last.read_bytes()
+    last.write_bytes(content[:500])
+    arguments = ("export", "sequence", str(tmp_path / "frames"), "-o", str(tmp_path / "clip.json"))
+    ran = gsgen_here(*arguments, *OPTIONS, "--loop")
+    assert ran.code == 4
+    assert "0008.ply" in ran.err
+    assert not (tmp_path / "clip.json").exists()
+    finished = tmp_path / "clip" / "0001.onnx"
+    times = finished.stat().st_mtime_ns
+    last.write_bytes(content)
+    assert export(tmp_path, *OPTIONS, "--loop", "--engine", engine, "--workers", "1") == written
+    assert finished.stat().st_mtime_ns == times
+
+
+@pytest.mark.usefixtures("written")
+def test_a_segment_above_the_capacity_is_named(folder: Path) -> None:
+    document = json.loads((folder / "clip.json").read_text())
+    document["models"][0]["capacity"] = ROWS - 1
+    (folder / "small.json").write_text(json.dumps(document))
+    with pytest.raises(SceneInvalid, match=r"0000\.sog: has 300 Gaussians, expected at most 299"):
+        open_scene(folder / "small.json")
+
+
+def test_too_few_frames_are_refused(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "frames", rows=50, frames=2)
+    scene = tmp_path / "clip.json"
+    ran = gsgen_here("export", "sequence", str(tmp_path / "frames"), "-o", str(scene))
+    assert ran.code == 2
+    assert "has 2 frames, expected three or more for segments" in ran.err
+    assert not scene.exists()
