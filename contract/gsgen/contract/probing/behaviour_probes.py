@@ -5,8 +5,12 @@ __all__ = [
     "JOINTS",
     "LONG_QUATERNIONS_LABEL",
     "LOOKING_AWAY_LABEL",
+    "MOVED_ALONE",
+    "MOVED_TOGETHER",
     "NEGATED_LABEL",
+    "OTHER_LENSES",
     "PATH_OFFSET",
+    "PICTURE_CAMERAS",
     "REPEATED_LABEL",
     "ROOT_LABEL",
     "SINGLE_JOINT_ANGLE",
@@ -66,6 +70,16 @@ ROOT_LABEL, _MAX_CHAINS, _CHAIN_LABEL = "with a turn of the root", 2, "with turn
 LONG_QUATERNIONS_LABEL, _LONG = "with quaternions of length 1.1", 1.1
 # Axes that no bone of a usual rest pose lies along.
 _JOINT_AXIS, _CHILD_AXIS = np.array([2.0, 3.0, 6.0]) / 7, np.array([6.0, -2.0, 3.0]) / 7
+# Name of the probes with other cameras of pictures; the rigid motion of all of them, and by how much
+# focal lengths and principal points differ, in fractions of the picture.
+PICTURE_CAMERAS = "picture cameras"
+MOVED_TOGETHER, OTHER_LENSES = "with all cameras of pictures moved", "with other lenses"
+MOVED_ALONE = "with another camera of picture "
+_PICTURE_MOTION = np.eye(4)
+_PICTURE_MOTION[:3, :3] = rotation_matrix(np.array([[0.92, 0.2, -0.28, 0.19]]))[0]
+_PICTURE_MOTION[:3, 3] = (0.4, -0.3, 0.5)
+_FOCAL_FACTORS, _PRINCIPAL_SHIFT = (1.25, 0.8), (0.125, -0.1875)
+_MAX_MOVED_PICTURES = 4
 # Suffixes of the labels of a camera that is turned about its own centre.
 TILTED_LABEL, LOOKING_AWAY_LABEL = "tilted", "looking away"
 # A tilt by 0.7 about the viewing axis and 0.15 about the vertical, and half a turn.
@@ -95,6 +109,7 @@ def trial_probes(
         yield "edges", tuple(_edge_probes(manifest, base))
         yield "outside", tuple(_outside_range_probes(manifest, base))
         yield JOINTS, tuple(_joint_probes(manifest, base))
+        yield PICTURE_CAMERAS, tuple(_picture_camera_probes(manifest, base))
         for entry in manifest.inputs:
             if entry.role == "time" and entry.range is not None:
                 yield "loop", tuple(_loop_probes(entry, base))
@@ -288,6 +303,32 @@ def joints_of_label(label: str) -> tuple[int, ...]:
         if words in label:
             return tuple(map(int, label.rpartition(words)[2].split()))
     return ()
+
+
+def _picture_camera_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """Yield test inputs with all cameras of pictures moved, with other lenses, and with one moved.
+
+    Pictures stay the same: rows that are placed along their rays follow their cameras.
+    """
+    order = manifest.space.matrix_order if manifest.space else "column"
+    motion = np.linalg.inv(_PICTURE_MOTION)
+    for entry in _inputs_of_role(manifest, "image_view")[:1]:
+        views = base.inputs[entry.name]
+        if views.ndim != 3 or views.shape[1:] != (4, 4):
+            return
+        moved = np.stack([as_tensor(as_tensor(view, order) @ motion, order) for view in views])
+        yield _changed_probe(base, MOVED_TOGETHER, **{entry.name: moved})
+        for lens in _inputs_of_role(manifest, "image_intrinsics")[:1]:
+            matrices = base.inputs[lens.name].copy()
+            if matrices.shape[1:] == (3, 3):
+                size = 2 * matrices[:, :2, 2]  # the principal point is the middle
+                matrices[:, [0, 1], [0, 1]] *= _FOCAL_FACTORS
+                matrices[:, :2, 2] += size * _PRINCIPAL_SHIFT
+                yield _changed_probe(base, OTHER_LENSES, **{lens.name: matrices})
+        for number in range(min(len(views), _MAX_MOVED_PICTURES) if len(views) > 1 else 0):
+            alone = views.copy()
+            alone[number] = moved[number]
+            yield _changed_probe(base, f"{MOVED_ALONE}{number}", **{entry.name: alone})
 
 
 def _flipped_axis_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:

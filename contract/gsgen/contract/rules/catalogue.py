@@ -45,6 +45,7 @@ from gsgen.contract.rules.pictures import (
     poses,
     resolution,
     sizes,
+    source_pictures,
     turning,
 )
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
@@ -104,6 +105,7 @@ RULE_FAMILIES = (
     trajectory,
     turning,
     effects,
+    source_pictures,
     poses,
     limits,
     capacity,

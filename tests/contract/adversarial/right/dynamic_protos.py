@@ -334,14 +334,7 @@ right_model("mip_antialias", TOOL, "hair", "trained", build=partial(_declared, _
 right_model(
     "extension_fields", TOOL, "cloud", "trained", build=partial(_declared, _extended, "cloud")
 )
-right_model(
-    "weights_listed_as_inputs",
-    TOOL,
-    "cloud",
-    "trained",
-    build=_weights_listed_as_inputs,
-    warnings=("GI012",),
-)
+right_model("weights_listed_as_inputs", TOOL, "cloud", "trained", build=_weights_listed_as_inputs)
 right_model(
     "another_output", TOOL, "hair", "trained", build=_with_another_output, warnings=("GO017",)
 )

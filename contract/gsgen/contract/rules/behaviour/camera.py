@@ -10,7 +10,6 @@ from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.probes import Probe, SceneExtent
 from gsgen.contract.probing.run_comparison import Behaviour
-from gsgen.contract.probing.survey_probes import SIDE_LABEL
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION
 from gsgen.contract.spec.manifest import GeneratorManifest
@@ -81,6 +80,8 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Check the matrix order, and that +z is forward.
     """
+    from gsgen.contract.probing.survey_probes import SIDE_LABEL
+
     subject = behaviour.subject
     declared = subject.declared_count
     roles = ("view", "projection", "camera_position")

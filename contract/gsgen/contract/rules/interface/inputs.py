@@ -227,7 +227,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GI012", Severity.WARNING, kinds=MANIFEST_KINDS)
+@rule("GI012", Severity.INFO, kinds=MANIFEST_KINDS)
 def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """No weight (initialiser) is listed among the graph inputs.
 

@@ -1,0 +1,97 @@
+"""Generators of pictures: cameras, lenses and colours taken otherwise than declared are noticed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures.builders.arrays import f32, i64
+from gsgen.conformance.fixtures.builders.pixels import pixel_model
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.contract.validator import validate
+
+_COLORS = "colors = Reshape ({}, color_shape)"
+# Nodes that make a mistake, weights, the rule, and words of its finding.
+FAULTS: dict[str, tuple[dict[str, str], dict[str, np.ndarray], str, str]] = {
+    "camera to world": (
+        {"centers": "moved = MatMul (local, turned) centers = Add (moved, translations)"},
+        {},
+        "GB070",
+        "camera-to-world",
+    ),
+    "OpenGL's axes": (
+        {"rays": "forward = Concat <axis = 2> (slopes, ahead) rays = Mul (forward, opengl)"},
+        {"opengl": f32(1, -1, -1)},
+        "GB070",
+        "behind the cameras",
+    ),
+    "fractions": (
+        {"lens": "lens = Mul (lenses, sizes)"},
+        {"sizes": np.array([[[8, 1, 8], [1, 6, 6], [1, 1, 1]]], np.float32)},
+        "GB070",
+        "fractions",
+    ),
+    "in the space of the camera": (
+        {"centers": "away = Mul (offsets, zero) centers = Add (local, away)"},
+        {},
+        "GB070",
+        "stay in the space",
+    ),
+    "linear": (
+        {"colors": f"positive = Max (last, zero) powers = Pow (positive, gamma) {_COLORS.format('powers')}"},
+        {"gamma": f32(2.2)},
+        "GB071",
+        "linear",
+    ),
+    "column by column": (
+        {
+            "colors": "by_column = Transpose <perm = [0, 3, 2, 1]> (image) "
+            f"{_COLORS.format('by_column')}"
+        },
+        {},
+        "GB071",
+        "column by column",
+    ),
+    "corners of pixels": (
+        {"rays": "half = Div (halves, focal) corners = Sub (slopes, half) "
+                 "rays = Concat <axis = 2> (corners, ahead)"},
+        {"halves": np.full((1, 1, 2), 0.5, np.float32)},
+        "GB071",
+        "half a pixel",
+    ),
+    "the first camera for all": (
+        {"views": "views = Gather <axis = 0> (poses, first)"},
+        {"first": i64(0, 0)},
+        "GB071",
+        "camera of picture 1",
+    ),
+}  # fmt: skip
+
+
+def findings(model: ModelSpec, folder: Path) -> list[tuple[str, str]]:
+    path = folder / "m.onnx"
+    model.write(path)
+    return [(finding.rule, finding.message) for finding in validate(path).findings]
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_of_pictures_and_cameras_is_noticed(name: str, tmp_path: Path) -> None:
+    nodes, weights, rule, words = FAULTS[name]
+    first, *_ = findings(pixel_model(**nodes).with_weights(**weights), tmp_path)
+    assert first[0] == rule
+    assert words in first[1]
+
+
+def test_a_template_that_samples_pictures_by_their_cameras_passes(tmp_path: Path) -> None:
+    """Its rows stay where they are: only colours change with the cameras."""
+    nodes = (
+        "away = Mul (offsets, zero) shift = ReduceMean (offsets) small = Mul (shift, tint) "
+        "ahead_of = Add (template, away) centers = Mul (ahead_of, one)"
+    )
+    model = pixel_model(
+        centers=nodes, colors="plain = Reshape (last, color_shape) colors = Add (plain, small)"
+    ).with_weights(
+        template=np.random.default_rng(1).uniform(-1, 1, (2, 48, 3)).astype(np.float32),
+        tint=f32(0.01),
+    )
+    assert not [entry for entry in findings(model, tmp_path) if entry[0] in ("GB070", "GB071")]
