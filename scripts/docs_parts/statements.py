@@ -13,6 +13,7 @@ from typing import Final
 LETTERS: Final = {
     "agreement.md": "A",
     "cells.md": "W",
+    "clips.md": "K",
     "conventions.md": "C",
     "extensions.md": "E",
     "index.md": "I",

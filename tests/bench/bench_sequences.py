@@ -1,13 +1,14 @@
-"""Clips of three kinds of sequences: python tests/bench/bench_sequences.py [--rows N] [--frames F].
+"""Clips of several kinds of sequences: python tests/bench/bench_sequences.py [KIND…] [--full].
 
 Makes sequences by formula (a smooth deformation, a skinned person, births and deaths; and the first
-with its rows shuffled in each frame), exports them by the program, and prints bytes, errors and
-costs. Bars at 300 frames: bytes at most 6 % of those of SOG frames, and 0.6 times those of zipped
+with its rows shuffled in each frame), or bakes those of a generator with a time (KIND is its file),
+exports them by the program, and prints bytes, errors and costs. Bars at 300 frames: bytes at most 6 % of those of SOG frames, and 0.6 times those of zipped
 delta PLYs and of SPZ frames; PSNR at least 38 dB in the mean and 34 dB in the worst moment; a frame's
 decoding at most 3 times the product of the same tables alone, one thread; memory of a loaded clip at
 most 1.3 times its file; encoding at most 1 second of the processor a frame.
 
-The bars are of 100,000 rows and 300 frames; usual are fewer, which a laptop measures in minutes.
+The bars are of 100,000 rows and 300 frames (--full); usual are fewer, which a laptop measures in
+minutes. A generator has its own rows.
 """
 
 import argparse
@@ -31,10 +32,13 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from gsgen.formats import Splats, write_ply, write_sog, write_spz
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.formats import Splats, open_splats, write_ply, write_sog, write_spz
 from gsgen.formats.shared.quantities import SH_C0
 from support.measures import print_line
 
+_PROGRAM = Path(sys.executable).with_name("gsgen")
 _SIZE = 0.012
 _JOINTS, _PARENTS = 16, (-1, 0, 1, 2, 1, 4, 5, 1, 7, 8, 0, 10, 11, 0, 13, 14)
 _SAMPLED_FRAMES = 3
@@ -168,6 +172,27 @@ _KINDS: dict[str, Callable[[int, int], Iterator[Splats]]] = {
 }
 
 
+def _baked(generator: Path) -> Callable[[int, int], Iterator[Splats]]:
+    """Return the frames of a generator, over the range of its time."""
+
+    def frames_of(_: int, frames: int) -> Iterator[Splats]:
+        text = open_model(generator).manifest_text
+        assert text is not None
+        spans = [entry.range for entry in loads(text).inputs if entry.role == "time"]
+        low, high = spans[0] or (0.0, 1.0)
+        last = low + (high - low) * (frames - 1) / frames
+        with tempfile.TemporaryDirectory() as folder:
+            moments = f"{low}:{last}:{frames}"
+            command = [str(_PROGRAM), "bake", str(generator), "-o", f"{folder}/%04d.ply"]
+            subprocess.run([*command, "--time", moments], check=True, capture_output=True)
+            for path in sorted(Path(folder).iterdir()):
+                content = open_splats(path)
+                assert isinstance(content, Splats)
+                yield content
+
+    return frames_of
+
+
 def _write_frames(kind: str, rows: int, frames: int, folder: Path) -> dict[str, float]:
     """Write a sequence as PLYs, and return the bytes of all frames in other forms.
 
@@ -177,16 +202,18 @@ def _write_frames(kind: str, rows: int, frames: int, folder: Path) -> dict[str, 
     sampled = set(np.linspace(0, frames - 1, _SAMPLED_FRAMES).astype(int).tolist())
     totals = {"SOG": 0.0, "SPZ": 0.0, "delta": 0.0}
     previous = None
-    for number, splats in enumerate(_KINDS[kind](rows, frames)):
+    make = _KINDS[kind] if kind in _KINDS else _baked(Path(kind))
+    for number, splats in enumerate(make(rows, frames)):
         write_ply(folder / f"{number:04d}.ply", splats)
         columns = np.concatenate(
             [
                 *(splats.position, splats.log_scale, splats.rotation),
-                *(splats.logit_opacity[:, None], splats.sh[:, 0]),
+                *(splats.logit_opacity[:, None], splats.sh.reshape(len(splats), -1)),
             ],
             axis=1,
         )
-        change = columns if previous is None else columns - previous
+        has_delta = previous is not None and previous.shape == columns.shape
+        change = columns - previous if has_delta else columns
         totals["delta"] += len(zlib.compress(np.ascontiguousarray(change.T).tobytes(), 1))
         previous = columns
         if number in sampled:
@@ -242,14 +269,13 @@ def _measure(kind: str, rows: int, frames: int, folder: Path, options: list[str]
     clip, report = folder / "clip.onnx", folder / "report.json"
     before = getrusage(RUSAGE_CHILDREN)
     command = ["gsgen", "export", "sequence", str(source), "-o", str(clip), *options]
-    program = Path(sys.executable).with_name("gsgen")
     subprocess.run(
-        [program, *command[1:], "--report", str(report)], check=True, capture_output=True
+        [_PROGRAM, *command[1:], "--report", str(report)], check=True, capture_output=True
     )
     after = getrusage(RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     measured = json.loads(report.read_text("utf-8"))["measured"]
-    size, loss = clip.stat().st_size, measured["loss"]
+    rows, size, loss = measured["rows"], clip.stat().st_size, measured["loss"]
     # The two take turns, so that other programs disturb both alike.
     runs = [_seconds(clip), _seconds(_bare_product(clip))]
     times = np.array([[run() for run in runs] for _ in range(_ROUNDS)])
@@ -287,15 +313,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("kinds", nargs="*", default=list(_KINDS))
+    parser.add_argument("--full", action="store_true", help="100,000 rows and 300 frames")
     parser.add_argument("--rows", type=int, default=6000)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--quality", type=int, default=75)
     parser.add_argument("--moments", type=int, default=8)
     arguments = parser.parse_args()
+    rows, frames = (100_000, 300) if arguments.full else (arguments.rows, arguments.frames)
     options = ["--quality", str(arguments.quality), "--moments", str(arguments.moments)]
     for kind in arguments.kinds:
         with tempfile.TemporaryDirectory() as folder:
-            _measure(kind, arguments.rows, arguments.frames, Path(folder) / kind, options)
+            _measure(kind, rows, frames, Path(folder) / Path(kind).stem, options)
 
 
 if __name__ == "__main__":

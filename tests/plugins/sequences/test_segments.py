@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec import layout
+from gsgen.formats import Splats, write_ply
 from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.sources.opening import open_source
@@ -102,6 +103,41 @@ def test_a_stopped_export_resumes_to_the_same_bytes(
     last.write_bytes(content)
     assert export(tmp_path, *OPTIONS, "--loop", "--engine", engine, "--workers", "1") == written
     assert finished.stat().st_mtime_ns == times
+
+
+def test_frames_that_share_no_gaussians_are_shown_one_by_one(tmp_path: Path) -> None:
+    """Each has a set of its own, of its own size; none is blended with another."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "frames").mkdir()
+    frames = [random_splats(rng, count) for count in (60, 40, 50, 55, 45, 58)]
+    for number, splats in enumerate(frames):
+        write_ply(tmp_path / "frames" / f"{number}.ply", splats)
+    folder = str(tmp_path / "frames")
+    ran = gsgen_here("export", "sequence", folder, "-o", str(tmp_path / "clip.onnx"))
+    assert ran.code == 1
+    assert "too few match" in ran.err
+    assert "-o clip.json" in ran.err
+    written = export(tmp_path, *OPTIONS)
+    assert sum(name.endswith(".sog") for name in written) == len(frames)
+    (source,) = open_scene(tmp_path / "clip.json")
+    try:
+        for number, part in ((0, 0.0), (3, 0.5), (5, 0.99), (1, 0.3)):
+            source.update(None, {"time": (number + part) / FPS})
+            rows = source.data.rows[: source.count]
+            assert len(rows) == len(frames[number].position)
+            assert nearest(rows, frames[number].position) < 1e-3
+    finally:
+        source.close()
+
+
+def random_splats(rng: np.random.Generator, count: int) -> Splats:
+    return Splats(
+        position=rng.normal(size=(count, 3)).astype(np.float32),
+        rotation=rng.normal(size=(count, 4)).astype(np.float32),
+        log_scale=rng.normal(-4, 0.5, (count, 3)).astype(np.float32),
+        logit_opacity=np.full(count, 2, np.float32),
+        sh=rng.normal(size=(count, 1, 3)).astype(np.float32),
+    )
 
 
 @pytest.mark.usefixtures("written")

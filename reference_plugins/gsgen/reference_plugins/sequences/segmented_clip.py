@@ -1,7 +1,8 @@
 """Exports a sequence as segments: clips of some seconds each, and a scene file that plays them.
 
 A player opens the segment of its moment, and the next. The first segment is the first frame as SOG,
-so that a picture is there before a clip is. Each segment is a task that writes its file whole, and a
+so that a picture is there before a clip is. Frames that share too few Gaussians for a clip are SOG
+files, too: each has a set of its own, and sets are never blended. Each segment is a task that writes its file whole, and a
 record of its inputs: a stopped export resumes after its last segment, and any engine writes the same
 bytes.
 """
@@ -11,6 +12,7 @@ __all__ = ["ClipExport"]
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,16 +24,27 @@ from typing import Any, Final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write
+from gsgen.contract.process.drafts import temporary_folder
+from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.units import format_bytes
+from gsgen.contract.validation.report import Report
 from gsgen.formats import Splats, write_sog
 from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.reference_plugins.sequences.clip_loss import measure_loss
 from gsgen.reference_plugins.sequences.frame_files import FrameFiles
+from gsgen.reference_plugins.static.static import StaticScene
 from gsgen.runtime.sources.key_frames import DEFAULT_FPS
-from gsgen.sdk.exporting.pipeline import Exported, ExportOptions, GraphSource, check_contract
+from gsgen.sdk.exporting.pipeline import (
+    Exported,
+    ExportOptions,
+    GraphSource,
+    Progress,
+    check_contract,
+)
 from gsgen.sdk.sequences.clip_source import ClipSource
+from gsgen.sdk.sequences.matching import FramesUnmatched
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.files import read_json, write_json
 from gsgen.tiles.loading.leaves import open_splats
@@ -39,6 +52,7 @@ from gsgen.tiles.loading.leaves import open_splats
 _SCENE_SUFFIX: Final = ".json"
 _RECORDS: Final = ".gsgen-export"  # folder of the finished segments' records
 _MIN_FRAMES: Final = 3
+_SEGMENT_NAME: Final = re.compile(r"\d{4,}(\.onnx|\.sog|-\d{4,}\.sog)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,10 +79,10 @@ class ClipExport(GraphSource):
         """Export the frames; a path that ends in .json is that of a scene file of segments."""
         path = Path(path)
         if path.suffix.lower() != _SCENE_SUFFIX:
-            return self._part(range(len(self.files.paths)), joined=False).export(path, **options)
+            return self.part(range(len(self.files.paths)), joined=False).export(path, **options)
         return self._export_segments(path, **options)
 
-    def _part(self, numbers: Sequence[int], *, joined: bool) -> ClipSource:
+    def part(self, numbers: Sequence[int], *, joined: bool) -> ClipSource:
         """Return the clip of some frames."""
         files = replace(self.files, paths=tuple(self.files.paths[number] for number in numbers))
         names = [str(path) for path in files.paths]
@@ -126,31 +140,42 @@ class ClipExport(GraphSource):
                 progress(f"segment {len(records)} of {len(tasks)}")
         segments = [records[index] for index in range(len(tasks))]
         fps = self.clip.fps or DEFAULT_FPS
+        frames = {file: count for record in segments for file, count in record["files"].items()}
         document = {
             "gsgen_scene": "1.0",
             "models": [
                 {
                     "segments": [
-                        {"path": f"{folder.name}/{task.file.name}", "seconds": task.frames / fps}
-                        for task in tasks
+                        {"path": f"{folder.name}/{file}", "seconds": count / fps}
+                        for file, count in frames.items()
                     ],
                     "capacity": max(record["rows"] for record in segments),
                 }
             ],
-            "timeline": {
-                "seconds": sum(task.frames for task in tasks) / fps,
-                "fps": fps,
-                "loop": self.clip.loop,
-            },
+            "timeline": {"seconds": sum(frames.values()) / fps, "fps": fps, "loop": self.clip.loop},
         }
         with atomic_write(path) as draft:
             draft.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
-        _remove_others(folder, {task.file for task in tasks})
-        model = next(task.file for task in tasks if task.is_clip)
-        report = check_contract(
-            model, ExportOptions(path=model, name=name, progress=progress, **_checked(options))
-        )
-        return _result(path, tasks, segments, report)
+        files = [folder / file for file in frames]
+        _remove_others(folder, files)
+        manifest, report = self._check(files, name, progress, options)
+        return _result(path, files, segments, manifest, report)
+
+    def _check(
+        self, files: Sequence[Path], name: str, progress: Progress, options: Mapping[str, Any]
+    ) -> tuple[Manifest, Report]:
+        """Validate the first clip, or the first frame as a generator; return manifest and report."""
+        checked = {key: options[key] for key in ("opset", "target", "settings")}
+        model = next((file for file in files if file.suffix == MODEL_SUFFIX), None)
+        if model is None:
+            still = StaticScene(content=open_splats(files[0]))
+            with temporary_folder() as folder:
+                exported = still.export(folder / f"{name}{MODEL_SUFFIX}", name=name, **checked)
+            return exported.manifest, exported.report
+        text = open_model(model).manifest_text
+        assert text is not None
+        checking = ExportOptions(path=model, name=name, progress=progress, **checked)
+        return loads(text), check_contract(model, checking)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,6 +206,36 @@ class _SegmentTask:
         """How many frames the segment lasts."""
         return len(self.numbers) - self.joined
 
+    def clip(self) -> dict[str, Any]:
+        """Write the segment as a clip, and return its record."""
+        exported = self.export.part(self.numbers, joined=self.joined).export(
+            self.file, **self.options
+        )
+        assert exported.measured is not None
+        return {
+            "files": {self.file.name: self.frames},
+            "rows": exported.measured["rows"],
+            "measured": exported.measured,
+            "notes": list(exported.notes),
+        }
+
+    def stills(self, frames: Mapping[Path, int]) -> dict[str, Any]:
+        """Write frames as SOG files, and return the record of the segment."""
+        rows = 0
+        for file, number in frames.items():
+            content = open_splats(self.export.files.paths[number], drop_invalid=True)
+            if not isinstance(content, Splats) or content.origin != NO_ORIGIN:
+                raise FramesUnmatched(
+                    "shares too few Gaussians with the frames around it for a clip, expected splats "
+                    "near 0,0,0, of which a file of its own is written",
+                    where=str(self.export.files.paths[number]),
+                )
+            with atomic_write(file) as draft:
+                write_sog(draft, content)
+            rows = max(rows, len(content))
+        files = {file.name: 1 for file in frames}
+        return {"files": files, "rows": rows, "measured": None, "notes": []}
+
     def key(self) -> str:
         """Return a digest of all that the bytes of the segment follow from."""
         clip = self.export.clip
@@ -198,55 +253,58 @@ class _SegmentTask:
 
 def _export_segment(task: _SegmentTask) -> dict[str, Any]:
     """Write a segment unless its record says that it is there; return the record."""
-    record_file = task.file.parent / _RECORDS / f"{task.file.stem}.json"
+    folder, stem = task.file.parent, task.file.stem
+    record_file = folder / _RECORDS / f"{stem}.json"
     key = task.key()
-    if record_file.exists() and task.file.exists():
+    if record_file.exists():
         record: dict[str, Any] = read_json(record_file)
-        if record["key"] == key:
+        if record["key"] == key and all((folder / file).exists() for file in record["files"]):
             return record
-    record = {"key": key}
-    if task.is_clip:
-        clip = task.export._part(task.numbers, joined=task.joined)
-        exported = clip.export(task.file, **task.options)
-        record |= {"rows": exported.measured["rows"], "measured": exported.measured}  # type: ignore[index]
-        record["notes"] = list(exported.notes)
+    if not task.is_clip:
+        record = task.stills({task.file: task.numbers[0]})
     else:
-        content = open_splats(task.export.files.paths[task.numbers[0]], drop_invalid=True)
-        assert isinstance(content, Splats)
-        with atomic_write(task.file) as draft:
-            write_sog(draft, content)
-        record |= {"rows": len(content), "measured": None, "notes": []}
+        try:
+            record = task.clip()
+        except FramesUnmatched:
+            numbers = task.numbers[: task.frames]
+            record = task.stills(
+                {folder / f"{stem}-{index:04}.sog": frame for index, frame in enumerate(numbers)}
+            )
+            record["notes"] = [
+                f"frames {numbers[0]} to {numbers[-1]} share too few Gaussians for a clip: each has "
+                "a file of its own"
+            ]
+    record["key"] = key
     write_json(record_file, record)
     return record
 
 
-def _checked(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a validation."""
-    return {name: options[name] for name in ("opset", "target", "settings")}
-
-
-def _remove_others(folder: Path, files: set[Path]) -> None:
+def _remove_others(folder: Path, files: Sequence[Path]) -> None:
     """Remove the records, and segments of an earlier export."""
     shutil.rmtree(folder / _RECORDS)
     for file in folder.iterdir():
-        if file.suffix in (".onnx", ".sog") and file.stem.isdecimal() and file not in files:
+        if _SEGMENT_NAME.fullmatch(file.name) and file not in files:
             file.unlink()
 
 
 def _result(
-    path: Path, tasks: Sequence[_SegmentTask], records: Sequence[Mapping[str, Any]], report: Any
+    path: Path,
+    files: Sequence[Path],
+    records: Sequence[Mapping[str, Any]],
+    manifest: Manifest,
+    report: Report,
 ) -> Exported:
     """Return what the records of all segments say together."""
-    sizes = [task.file.stat().st_size for task in tasks]
+    sizes = [file.stat().st_size for file in files]
     measured = [record["measured"] for record in records if record["measured"]]
     tables: dict[str, int] = {}
     for part in measured:
         for name, size in part["table_bytes"].items():
             tables[name] = tables.get(name, 0) + size
-    frames = sum(task.frames for task in tasks)
+    frames = sum(count for record in records for count in record["files"].values())
     losses = [part["loss"] for part in measured if part.get("loss")]
     lines = [
-        f"{len(tasks)} segments in {tasks[0].file.parent}: {format_bytes(sum(sizes))}, the first has "
+        f"{len(files)} segments in {files[0].parent}: {format_bytes(sum(sizes))}, the first has "
         f"{format_bytes(sizes[0])}, the largest {format_bytes(max(sizes))}"
     ]
     loss = None
@@ -263,14 +321,11 @@ def _result(
             f"drawn at {len(moments)} moments: PSNR {loss['psnr_mean']:.1f} dB; worst "
             f"{loss['psnr_worst']:.1f} dB, {loss['worst_frame']}"
         )
-    first = next(task.file for task in tasks if task.is_clip)
-    text = open_model(first).manifest_text
-    assert text is not None
     rows = max(record["rows"] for record in records)
     notes = dict.fromkeys(note for record in records for note in record["notes"])
     return Exported(
         path=path,
-        manifest=loads(text),
+        manifest=manifest,
         report=report,
         dtype="float32",
         contents=f"{frames:,} frames of up to {rows:,} Gaussians",

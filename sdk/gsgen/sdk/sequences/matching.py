@@ -5,7 +5,7 @@ of their distance; a Gaussian without a partner dies, and one that is new is bor
 Gaussian from birth to death, and is invisible before and after.
 """
 
-__all__ = ["TrackedFrames", "match_rows", "track_frames"]
+__all__ = ["FramesUnmatched", "TrackedFrames", "match_rows", "track_frames"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,10 +27,16 @@ _COLOR_UNIT, _OPACITY_UNIT = 0.1, 0.25
 _MAX_DISTANCE: Final = 3.0
 # The unit of centres, in sizes, as long as the motion is not known.
 _SEARCH_SIZES: Final = 8.0
-# More rows than this, as a multiple of the largest frame's, are not worth a clip.
+# More rows than this, as a multiple of the largest frame's, are not worth a clip: so many, or half of
+# the rows new in each frame.
 _MAX_ROW_FACTOR: Final = 4.0
+_MAX_NEW_SHARE: Final = 0.5
 
 _Reader = Callable[[int], ConstantRows]
+
+
+class FramesUnmatched(GeneratorInvalid):
+    """Raised if so few Gaussians of neighbouring frames match that they are not worth a clip."""
 
 
 def match_rows(first: ConstantRows, second: ConstantRows) -> Int64[np.ndarray, " n"]:
@@ -147,7 +153,7 @@ def track_frames(read: _Reader, count: int, progress: Callable[[str], None]) -> 
     """Match all neighbouring frames, and return frames whose rows correspond.
 
     Raises:
-        GeneratorInvalid: So few Gaussians match that the clip would have too many rows.
+        FramesUnmatched: So few Gaussians match that the clip would have too many rows.
     """
     previous = read(0)
     tracks = [np.arange(len(previous.rows))]
@@ -165,13 +171,13 @@ def track_frames(read: _Reader, count: int, progress: Callable[[str], None]) -> 
         appearance.append(frame.appearance[born])
         tracks.append(track)
         total, largest = total + len(born), max(largest, len(frame.rows))
-        if total > _MAX_ROW_FACTOR * largest:
+        if total > min(_MAX_ROW_FACTOR, 1 + _MAX_NEW_SHARE * (count - 1)) * largest:
             message = (
                 f"rows of the frames do not correspond, and too few match: {total:,} different "
                 f"Gaussians in the first {number + 1} of {count} frames of up to {largest:,}"
             )
-            hint = "Export frames whose row i is the same Gaussian in each, or fewer frames."
-            raise GeneratorInvalid(message, where="FRAMES", hint=hint)
+            hint = "A scene file plays such frames one by one: -o clip.json."
+            raise FramesUnmatched(message, where="FRAMES", hint=hint)
         previous = frame
     births = replace(previous, rows=np.concatenate(rows), appearance=np.concatenate(appearance))
     return TrackedFrames(read, tuple(tracks), births, largest)
