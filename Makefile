@@ -47,7 +47,7 @@ test: tools check
 
 # The other tests: more exports, pages, damaged files and long films.
 test-all: tools
-	$(PYTEST) -m slow
+	$(PYTEST) -m "slow and not nightly"
 
 # Tests that take too long for each change.
 test-nightly: tools

@@ -7,11 +7,13 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from _pytest.mark.expression import Expression
 from check_jsonschema.builtin_schemas import get_builtin_schema
 from jsonschema import Draft7Validator
 
@@ -361,6 +363,19 @@ def referring_files() -> list[Path]:
     names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
     suffixes = (".md", ".yml", ".yaml", ".in", ".ipynb")
     return [ROOT / name for name in names if name.endswith(suffixes)]
+
+
+def test_every_test_belongs_to_one_tier() -> None:
+    """A module's mark and a test's own may be two: `make test-all` runs no nightly test."""
+    text = (ROOT / "Makefile").read_text("utf-8")
+    tiers = [
+        Expression.compile(quoted or word)
+        for quoted, word in re.findall(r'^\t\$\(PYTEST\) -m (?:"(.+)"|(\w+))$', text, re.MULTILINE)
+    ]
+    assert len(tiers) == 3
+    for marks in ({}, {"slow"}, {"nightly"}, {"slow", "nightly"}):
+        names = partial(lambda chosen, name, **_: name in chosen, marks)
+        assert sum(tier.evaluate(names) for tier in tiers) == 1
 
 
 def test_actions_are_named_by_commit() -> None:

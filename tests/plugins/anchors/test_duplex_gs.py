@@ -315,7 +315,6 @@ def golden_cells(outputs: np.ndarray, target: dict[str, np.ndarray], margin: flo
         assert error <= allowed * margin, (part, error)
 
 
-@pytest.mark.slow
 def test_cells_agree_with_the_method_three_times_better_than_asked(summed: Exported) -> None:
     for agrees, errors in judge("duplex_a", summed.path):
         assert agrees
@@ -386,7 +385,6 @@ def test_the_model_agrees_with_the_method_three_times_better_than_asked(exported
             assert error <= EXPECTED[field] / MARGIN, (field, error)
 
 
-@pytest.mark.slow
 def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     exported: Exported, tmp_path: Path
 ) -> None:

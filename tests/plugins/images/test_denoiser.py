@@ -357,7 +357,6 @@ def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser
     return model, export_post_process(model, path, target="webgpu", settings=settings)
 
 
-@pytest.mark.slow
 def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, Exported]) -> None:
     model, exported = model_and_export
     session = onnxruntime.InferenceSession(exported.path)

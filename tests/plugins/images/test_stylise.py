@@ -67,7 +67,6 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     return export_post_process(model, folder / "stylise.onnx", target="webgpu", settings=settings)
 
 
-@pytest.mark.slow
 def test_styliser_runs_in_webgpu_without_stale_replays(exported: Exported) -> None:
     assert_captured(exported.report)
 

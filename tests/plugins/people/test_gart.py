@@ -122,9 +122,12 @@ def test_an_exported_model_agrees_with_the_method_and_runs_captured(
 ) -> None:
     case, path = CASES[name], tmp_path / "model.onnx"
     generator = plugin.build(case.write(tmp_path / "run"))
-    settings = Settings(level=Level.LIVE)
+    # In half precision once is enough: arithmetic is the same.
+    is_live = dtype == "float32" or name == "gart_list"
+    settings = Settings(level=Level.LIVE if is_live else Level.STATIC)
     exported = export(generator, path, dtype=dtype, target="webgpu", settings=settings)
-    assert_captured(exported.report)
+    if is_live:
+        assert_captured(exported.report)
     session = onnxruntime.InferenceSession(path)
     allowed = ALLOWED if dtype == "float32" else ALLOWED_FLOAT16
     for index in range(POSES):

@@ -77,6 +77,8 @@ def _set_driver_environment(folder: Path) -> None:
         "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER": "1",
         "VK_LOADER_DEBUG": "driver",
         "XDG_RUNTIME_DIR": str(folder),
+        # Shaders of the session without capture are those of the other one.
+        "MESA_SHADER_CACHE_DIR": str(folder),
     }
     for name, value in default_environment.items():
         os.environ.setdefault(name, value)
