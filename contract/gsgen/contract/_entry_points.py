@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import (
+    Distribution,
     EntryPoint,
     PackageNotFoundError,
     distribution,
@@ -64,7 +65,7 @@ class Extension:
     @property
     def owner(self) -> str:
         """The name of the distribution that registers the extension."""
-        return self.point.dist.name if self.point.dist else "gsgen"
+        return _name_of(self.point.dist) if self.point.dist else "gsgen"
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -122,6 +123,11 @@ def registered_entry_points(group: str) -> list[EntryPoint]:
 def find_extensions(group: str) -> dict[str, Extension]:
     """Return the extensions that packages register under an entry point group, by name."""
     return {point.name: Extension(point.name, point) for point in registered_entry_points(group)}
+
+
+@cache
+def _name_of(distribution: Distribution) -> str:
+    return distribution.name  # which reads all of its metadata
 
 
 @cache

@@ -9,7 +9,6 @@ __all__ = [
     "Codec",
     "codec_named",
     "codec_of_suffix",
-    "format_titles",
     "recognise_codec",
     "writable_formats",
 ]
@@ -210,12 +209,6 @@ CODECS: Final = (
     ),
 )
 """All formats, in the order in which a file is compared with them."""
-
-
-def format_titles() -> str:
-    """Return the titles of all splat file formats as a phrase: ``PLY, …, SPLAT or NPZ``."""
-    *titles, last = (codec.title for codec in CODECS)
-    return f"{', '.join(titles)} or {last}"
 
 
 def writable_formats() -> str:

@@ -12,8 +12,6 @@ __all__ = [
 
 from typing import Final
 
-from onnx import TensorProto
-
 # The two spellings of the domain of ONNX's own operators.
 MAIN_DOMAIN: Final = ("", "ai.onnx")
 
@@ -33,7 +31,8 @@ RANDOM_OPERATORS: Final = frozenset(
 )
 
 # The IEEE floating-point element types that kernels compute with.
-FLOAT_TYPES: Final[tuple[int, ...]] = (TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.DOUBLE)
+_FLOAT, _FLOAT16, _DOUBLE = 1, 10, 11  # numbers of ONNX's TensorProto.DataType
+FLOAT_TYPES: Final[tuple[int, ...]] = (_FLOAT, _FLOAT16, _DOUBLE)
 
 # The input whose element type selects the kernel, where it is not the first one. Pow has a type of
 # its own for exponents, and 64-bit ones have no kernel on GPUs.

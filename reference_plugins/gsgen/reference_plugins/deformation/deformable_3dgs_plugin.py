@@ -5,7 +5,6 @@ __all__ = ["PLUGIN"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.deformation.sc_gs_plugin import is_sc_gs
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
@@ -17,6 +16,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 
 # Operations of a good graphics card in a sixtieth of a second, at a tenth of its peak.
@@ -31,7 +31,7 @@ _PAPER_REFERENCE = Publication(
 
 @with_time_options
 def build(
-    checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input
+    checkpoint: Checkpoint, iteration: IterationOption = None, *, time: "Input"
 ) -> "Deformable3DGS":
     """Read a checkpoint of Deformable-3D-Gaussians, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS

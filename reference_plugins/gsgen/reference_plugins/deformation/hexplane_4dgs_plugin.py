@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     IterationOption,
@@ -18,6 +17,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
 
 _Bake = Annotated[
@@ -37,7 +37,11 @@ _PAPER_REFERENCE = Publication(
 
 @with_time_options
 def build(
-    checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input, bake: _Bake = "auto"
+    checkpoint: Checkpoint,
+    iteration: IterationOption = None,
+    *,
+    time: "Input",
+    bake: _Bake = "auto",
 ) -> "HexPlane4DGS":
     """Read a checkpoint of 4DGaussians, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS

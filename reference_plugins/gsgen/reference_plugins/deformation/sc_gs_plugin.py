@@ -5,7 +5,6 @@ __all__ = ["PLUGIN", "is_sc_gs"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
@@ -17,6 +16,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
 
 _PAPER_REFERENCE = Publication(
@@ -28,7 +28,7 @@ _PAPER_REFERENCE = Publication(
 
 
 @with_time_options
-def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input) -> "ScGs":
+def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: "Input") -> "ScGs":
     """Read a checkpoint of SC-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
     from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs

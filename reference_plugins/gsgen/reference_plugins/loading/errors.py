@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from gsgen.contract.errors import ExitCode, InputUnreadable
-from gsgen.formats import FormatError
+from gsgen.formats.shared.errors import FormatError
 
 _MAX_CHARACTERS = 300
 

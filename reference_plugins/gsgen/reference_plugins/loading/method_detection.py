@@ -4,7 +4,6 @@ __all__ = ["is_octree_anygs", "point_columns", "refuse_other_method"]
 
 from pathlib import Path
 
-from gsgen.formats import FormatError, ply_properties
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk.plugins.plugin import installed_plugins
 
@@ -31,6 +30,8 @@ def point_columns(iteration: Path) -> tuple[str, ...]:
 
     The reader of the file reports its faults.
     """
+    from gsgen.formats import FormatError, ply_properties
+
     path = iteration / "point_cloud.ply"
     try:
         return ply_properties(path) if path.is_file() else ()

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     IterationOption,
@@ -16,6 +15,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.spacetime.ex4dgs import Ex4DGS
 
 _PAPER_REFERENCE = Publication(
@@ -27,7 +27,7 @@ _PAPER_REFERENCE = Publication(
 
 
 @with_time_options
-def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: Input) -> "Ex4DGS":
+def build(checkpoint: Checkpoint, iteration: IterationOption = None, *, time: "Input") -> "Ex4DGS":
     """Read a checkpoint of Ex4DGS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.ex4dgs import Ex4DGS

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     IterationOption,
@@ -18,6 +17,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.loading.training_run import TrainingRun
     from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
 
@@ -58,7 +58,7 @@ def build(
     time_duration: _TimeDuration = None,
     iteration: IterationOption = None,
     *,
-    time: Input,
+    time: "Input",
     color: _Color = "sh",
 ) -> "Rotor4DGS":
     """Read a checkpoint of rotor 4DGS, report its contents, and return a Gaussian generator."""

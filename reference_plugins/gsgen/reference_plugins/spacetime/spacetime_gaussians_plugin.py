@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     CloudFile,
@@ -20,6 +19,7 @@ from gsgen.reference_plugins.loading.options import (
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
+    from gsgen.contract.spec.manifest import Input
     from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeCheckpoint
     from gsgen.sdk import GaussianGenerator, PostProcess
 
@@ -48,7 +48,7 @@ def build(
     checkpoint: CloudFile,
     iteration: IterationOption = None,
     *,
-    time: Input,
+    time: "Input",
     decode: _Decode = None,
     size: _SizeOption = "640x360",
 ) -> "GaussianGenerator | PostProcess":
@@ -66,7 +66,7 @@ def build(
 
 
 def _exported_module(
-    read: "SpacetimeCheckpoint", time: Input, decode: str | None, size: str
+    read: "SpacetimeCheckpoint", time: "Input", decode: str | None, size: str
 ) -> "GaussianGenerator | PostProcess":
     """Return the generator or, for --decode decoder, the post-process that decodes features."""
     from gsgen.reference_plugins.loading.errors import NotInCheckpoint

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.formats.codecs import format_titles
+from gsgen.contract.file_kinds.names import SPLAT_FORMATS
 from gsgen.reference_plugins.loading.options import note
 from gsgen.sdk.plugins.plugin import Demo, Plugin
 
@@ -20,7 +20,7 @@ def build(
     file: Annotated[
         Path,
         typer.Argument(
-            help=f"A file of splats, packed rows or points: {format_titles()}.", show_default=False
+            help=f"A file of splats, packed rows or points: {SPLAT_FORMATS}.", show_default=False
         ),
     ],
     opacity: Annotated[
@@ -102,7 +102,7 @@ PLUGIN = Plugin(
     words="3dgs gaussian-splatting gaussian-splat 3d-gaussian-splatting gsplat splatfacto inria splat "
     "splats gs ply point-cloud pointcloud vanilla nerfstudio mip-splatting",
     summary="A splat file or a coloured point cloud, unchanging.",
-    reads=f"Reads {format_titles()}: splats of SH degree 0 to 4, a point cloud (a PLY with red, "
+    reads=f"Reads {SPLAT_FORMATS}: splats of SH degree 0 to 4, a point cloud (a PLY with red, "
     "green and blue, or an NPZ with points, xyz or means3d and colors), or an NPZ of packed rows "
     "(gaussians and appearance), which passes through unchanged.",
     inputs=(),

@@ -22,17 +22,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
-from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.fields.roles import ROLES
-from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
-from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
 
 if TYPE_CHECKING:
+    from gsgen.contract.probing.probes import Probe
+    from gsgen.contract.process.limits import Limits
+    from gsgen.contract.spec.manifest import Manifest
     from gsgen.contract.validation.report import Report
     from gsgen.contract.validation.settings import Settings
+    from gsgen.sdk.exporting.tracing.folded_constants import FoldedConstants
     from gsgen.sdk.float16.convert_image_model import Float16ImageResult
     from gsgen.sdk.float16.convert_model import Float16Result
     from gsgen.sdk.parity import Parity
@@ -126,6 +125,8 @@ class ExportOptions:
     @property
     def limits(self) -> "Limits":
         """Time and memory for running the model."""
+        from gsgen.contract.process.limits import Limits
+
         return self.settings.limits if self.settings is not None else Limits()
 
     def __post_init__(self) -> None:
@@ -153,7 +154,7 @@ class Exported:
     """
 
     path: Path
-    manifest: Manifest
+    manifest: "Manifest"
     report: "Report"
     dtype: Dtype
     contents: str
@@ -162,7 +163,7 @@ class Exported:
     notes: tuple[str, ...] = ()
     float16_result: "Float16Result | Float16ImageResult | None" = None
     stages: tuple[Stage, ...] = ()
-    folded: FoldedConstants | None = None
+    folded: "FoldedConstants | None" = None
     measured: Mapping[str, Any] | None = None
     lines: tuple[str, ...] = ()
 
@@ -187,17 +188,20 @@ class GraphSource(ABC):
 
 
 def probes_of(
-    manifest: Manifest,
+    manifest: "Manifest",
     *,
     count: int,
     seed: int = 0,
     image: tuple[Dtype, tuple[int, ...]] | None = None,
-) -> tuple[Probe, ...]:
+) -> "tuple[Probe, ...]":
     """Return test inputs for a manifest.
 
     A post-process model takes ``image``: the dtype of images, and any shape that they leave open;
     its other inputs are float32.
     """
+    from gsgen.contract.probing.probes import default_probes
+    from gsgen.contract.spec.fields.roles import ROLES
+
     roles = {entry.name: entry.role for entry in manifest.inputs}
     if image is None:
         shape: tuple[int, ...] = ()

@@ -30,8 +30,9 @@ from gsgen.cli.output import echo, echo_error, echo_json
 from gsgen.cli.output_hints import require_own_output
 from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, InputUnreadable
+from gsgen.contract.file_kinds.names import SPLAT_FORMATS
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.formats.codecs import Codec, Content, codec_named, format_titles, writable_formats
+from gsgen.formats.codecs import Codec, Content, codec_named, writable_formats
 from gsgen.formats.editing.statistics import Statistics, statistics_text
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.tileset_paths import names_tileset
@@ -45,7 +46,7 @@ Sources = Annotated[
     list[str],
     typer.Argument(
         metavar="SOURCE…",
-        help=f"{format_titles()}; recognised by its content. Several are merged. An address "
+        help=f"{SPLAT_FORMATS}; recognised by its content. Several are merged. An address "
         "(https, hf, s3, …) is downloaded.",
         show_default=False,
     ),

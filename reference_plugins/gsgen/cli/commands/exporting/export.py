@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from gsgen.cli.command_group import PASS_THROUGH_SETTINGS, refusing, runnable, usable_command
 from gsgen.cli.commands.exporting.export_html import export_html
@@ -40,10 +40,24 @@ class _TargetCommands(TyperGroup):
         """Return the names of the formats and of all plugins that packages register."""
         return [*super().list_commands(ctx), *find_plugins()]
 
+    _is_listing = False
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command that exports a format or a method, whose plugin is imported."""
         plugin = find_plugins().get(cmd_name)
-        return super().get_command(ctx, cmd_name) if plugin is None else _plugin_command(plugin)
+        if plugin is None:
+            return super().get_command(ctx, cmd_name)
+        return _plugin_summary(plugin) if self._is_listing else _plugin_command(plugin)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help, with a summary of each method."""
+        self._is_listing = True
+        super().format_help(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        """Return the names that a word may be completed to, with a summary of each method."""
+        self._is_listing = True
+        return super().shell_complete(ctx, incomplete)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Move the argument TARGET before the options if options precede it on the command line."""
@@ -166,6 +180,14 @@ def _describe_target(target: str) -> str:
     if not parameters:
         return "It takes no arguments."
     return f"It takes --arg {', --arg '.join(str(parameter) for parameter in parameters)}."
+
+
+def _plugin_summary(extension: Extension) -> Any:
+    """Import a plugin, and return a command for a list: it has a help, but no options."""
+    loaded_plugin, _ = runnable(extension)
+    if not isinstance(loaded_plugin, Plugin):
+        return _plugin_command(extension)
+    return TyperCommand(extension.name, help=loaded_plugin.headline)
 
 
 def _plugin_command(extension: Extension) -> Any:
