@@ -4,8 +4,9 @@ __all__ = ["open_splats", "require_codec"]
 
 from dataclasses import replace
 
+from gsgen.contract.file_kinds.names import SPLAT_FORMATS
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of
-from gsgen.formats.codecs import Codec, codec_of_suffix, format_titles, recognise_codec
+from gsgen.formats.codecs import Codec, codec_of_suffix, recognise_codec
 from gsgen.formats.inputs import TRAINING_HINT, resolve_input, training_folder
 from gsgen.formats.shared.errors import FormatError, FormatNotRecognised, NotSupported
 from gsgen.formats.shared.files import FilePath, open_file
@@ -82,7 +83,7 @@ def require_codec(file: FilePath) -> Codec:
         # The reader explains the fault of a file of unknown content.
         if codec is not None and (kind is None or kind.name == "zeros"):
             return codec
-        expected = f"a file of splats: {format_titles()}"
+        expected = f"a file of splats: {SPLAT_FORMATS}"
         if kind is not None:
             raise FormatNotRecognised(f"this is {kind.title}", expected=expected, hint=kind.hint)
         raise FormatNotRecognised(

@@ -6,11 +6,14 @@ import platform
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from gsgen.contract.process.confinement import available_confinement
+
+_RUNTIME: Final = "onnxruntime"
+_PURPOSE: Final = "validate"
 
 CheckState = Literal["ok", "missing", "broken"]
 
@@ -52,10 +55,29 @@ def checks() -> Iterator[Check]:
     yield Check(
         name="python", state="ok", detail=f"{platform.python_version()} at {sys.executable}"
     )
-    for name in ("numpy", "onnx", "onnxruntime"):
-        yield check_package(name, f"pip install {name}", purpose="validate")
+    for name in ("numpy", "onnx"):
+        yield check_package(name, f"pip install {name}", purpose=_PURPOSE)
+    yield _check_onnxruntime()
     yield _check_sandbox()
     yield from _check_confinement()
+
+
+def _check_onnxruntime() -> Check:
+    """Check which distribution brings ONNX Runtime: two overwrite each other's files."""
+    names = sorted(set(packages_distributions().get(_RUNTIME, ())))
+    if len(names) < 2:
+        return check_package(
+            names[0] if names else _RUNTIME, f"pip install {_RUNTIME}", purpose=_PURPOSE
+        )
+    # The plain one is a dependency of many packages; the other was chosen.
+    chosen = next(name for name in names if name != _RUNTIME)
+    return Check(
+        name=_RUNTIME,
+        state="broken",
+        detail=f"{' and '.join(f'{name} {version(name)}' for name in names)} overwrite each other's files",
+        remedy=f"pip uninstall -y {' '.join(names)} && pip install {chosen}",
+        purpose=_PURPOSE,
+    )
 
 
 def _check_confinement() -> Iterator[Check]:
