@@ -373,7 +373,8 @@ def test_every_test_belongs_to_one_tier() -> None:
         for quoted, word in re.findall(r'^\t\$\(PYTEST\) -m (?:"(.+)"|(\w+))$', text, re.MULTILINE)
     ]
     assert len(tiers) == 3
-    for marks in ({}, {"slow"}, {"nightly"}, {"slow", "nightly"}):
+    combinations: list[set[str]] = [set(), {"slow"}, {"nightly"}, {"slow", "nightly"}]
+    for marks in combinations:
         names = partial(lambda chosen, name, **_: name in chosen, marks)
         assert sum(tier.evaluate(names) for tier in tiers) == 1
 
