@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 
@@ -141,6 +142,18 @@ def test_rows_that_do_not_change_are_stored_once(tmp_path: Path) -> None:
         source(frames).export(path, settings=STATIC)
         sizes.append(path.stat().st_size)
     assert sizes[1] < 1.2 * sizes[0]
+
+
+def test_tables_are_float16_where_a_target_dequantises_wrongly(tmp_path: Path) -> None:
+    moments = []
+    for target in ("core", "visionary"):
+        path = tmp_path / f"{target}.onnx"
+        source(random_frames(6, rows=90, channels=48)).export(path, settings=STATIC, target=target)
+        operators = {node.op_type for node in onnx.load(path).graph.node}
+        assert ("DequantizeLinear" in operators) == (target == "core")
+        moments.append(run(path, 0.37))
+    for name, values in moments[0].items():
+        np.testing.assert_allclose(moments[1][name], values, atol=1e-5)
 
 
 def test_one_frame_is_no_sequence(tmp_path: Path) -> None:

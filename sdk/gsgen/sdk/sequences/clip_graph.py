@@ -2,7 +2,8 @@
 
 Weights of the knots are hat functions of the time; their product with the coefficients of a table
 weighs its bytes. Bytes stay bytes in memory: ONNX Runtime folds constant nodes at loading, but
-``DequantizeLinear`` it leaves to run, and with it all that depends on it.
+``DequantizeLinear`` it leaves to run, and with it all that depends on it. Where a target computes that
+wrongly, tables are float16, which holds the numbers of bytes exactly.
 """
 
 __all__ = ["clip_model"]
@@ -34,9 +35,11 @@ class _GraphWriter:
     Args:
         time: The input for the time.
         opset: The ONNX operator set.
+        has_bytes: Whether tables are bytes, instead of float16.
     """
 
-    def __init__(self, time: ir.Value, opset: int) -> None:
+    def __init__(self, time: ir.Value, opset: int, *, has_bytes: bool) -> None:
+        self._has_bytes = has_bytes
         self.graph = ir.Graph([time], [], nodes=[], opset_imports={"": opset}, name="clip")
         self._shared: dict[tuple[float | int, ...], ir.Value] = {}
         self._count = 0
@@ -76,6 +79,10 @@ class _GraphWriter:
 
     def digits(self, values: np.ndarray, scale: float, name: str) -> ir.Value:
         """Return bytes as float32, less 128, times a scale."""
+        if not self._has_bytes:
+            numbers = self.weight(values.astype(np.float16) - np.float16(DIGIT_ZERO), name)
+            numbers = self.op("Cast", numbers, to=ir.DataType.FLOAT.value)
+            return numbers if scale == 1 else self.op("Mul", numbers, self.scalar(scale))
         if () not in self._shared:
             self._shared[()] = self.weight(np.array(DIGIT_ZERO, np.uint8))
         return self.op(
@@ -88,15 +95,20 @@ class _GraphWriter:
         self.graph.outputs.append(value)
 
 
-def clip_model(clip: Clip, manifest: GeneratorManifest, opset: int) -> ir.Model:
-    """Return the ONNX model of a clip; the manifest names its input and its outputs."""
+def clip_model(
+    clip: Clip, manifest: GeneratorManifest, opset: int, *, has_bytes: bool = True
+) -> ir.Model:
+    """Return the ONNX model of a clip; the manifest names its input and its outputs.
+
+    Without ``has_bytes``, tables are float16.
+    """
     declared = manifest.outputs
     assert declared.gaussians is not None
     assert declared.appearance is not None
     assert declared.count is not None
     name = manifest.inputs[0].name
     time = ir.Value(name=name, type=ir.TensorType(ir.DataType.FLOAT), shape=ir.Shape([1]))
-    graph = _GraphWriter(time, opset)
+    graph = _GraphWriter(time, opset, has_bytes=has_bytes)
     knots = _knot_weights(graph, time, clip)
     rows = [_group_rows(graph, group, knots, f"group{i}") for i, group in enumerate(clip.groups)]
     graph.add_output(
@@ -129,7 +141,7 @@ def clip_model(clip: Clip, manifest: GeneratorManifest, opset: int) -> ir.Model:
 def _knot_weights(graph: _GraphWriter, time: ir.Value, clip: Clip) -> ir.Value:
     """Return the weights [1, K] of the knots: hat functions of the time."""
     place = graph.op("Mul", time, graph.scalar(clip.frames))
-    place = graph.op("Min", place, graph.scalar(clip.knots - 1))
+    place = graph.op("Clip", place, graph.scalar(0.0), graph.scalar(clip.knots - 1))
     knots = graph.weight(np.arange(clip.knots, dtype=np.float32)[None])
     distance = graph.op("Abs", graph.op("Sub", place, knots))
     return graph.op("Relu", graph.op("Sub", graph.scalar(1.0), distance))

@@ -18,6 +18,8 @@ from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Bounds, CountOutput, GeneratorManifest, Input
+from gsgen.contract.spec.operator_tables import operator_table
+from gsgen.contract.spec.targets import load_target
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
@@ -117,7 +119,8 @@ class ClipSource(GraphSource):
         )
         clip, manifest, notes = self._encode(options)
         with atomic_write(path) as draft:
-            save_model(clip_model(clip, manifest, opset), draft)
+            has_bytes = _dequantises(target)
+            save_model(clip_model(clip, manifest, opset, has_bytes=has_bytes), draft)
             progress("comparing the model with its tables")
             _check_written_clip(draft, clip, manifest, options.limits)
             report = check_contract(draft, options)
@@ -256,6 +259,13 @@ class ClipSource(GraphSource):
             outputs=replace(manifest.outputs, count=count),
             bounds=Bounds.from_points(corners, _BOUNDS_MARGIN),
         )
+
+
+def _dequantises(target: str) -> bool:
+    """Return whether the runtimes of a target dequantise bytes as ONNX defines it."""
+    tables = [operator_table(name) for name in load_target(target).operators]
+    outcomes = [table.outcome("DequantizeLinear", "", "float32", OPSET) for table in tables]
+    return "wrong" not in outcomes
 
 
 def _require_equal_kind(
