@@ -10,7 +10,7 @@ READY := $(VENV)/.gsgen-ready
 # Some containers forbid Python to write bytecode: each process would compile the project anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web npm ort fuzz fuzz-formats untrusted fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
+.PHONY: setup demo test test-all test-nightly coverage tools check types style drivers bench exactness web npm ort fuzz fuzz-formats untrusted fuzz-tiles fuzz-sort pictures gallery hero tutorial docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -127,6 +127,10 @@ gallery: setup drivers
 # The picture that README.md and the home page open with.
 hero: setup drivers
 	$(BIN)/python scripts/write_pictures.py hero
+
+# What the cells of the tutorial show on its page.
+tutorial: setup drivers
+	$(BIN)/python scripts/write_pictures.py tutorial
 
 # What the browser takes from Python: frame plans from the renderer, rules from the contract.
 web: setup

@@ -29,6 +29,8 @@ PLACEHOLDER_FILES = (
     "docs/guides/test-your-plugin-in-ci.md",
     "docs/guides/validate-in-ci.md",
     "docs/index.md",
+    "docs/install.md",
+    "mkdocs.yml",
     "pyproject.toml",
 )
 """The files that may hold the placeholder."""

@@ -30,14 +30,13 @@ from docs_parts import (
     rules,
     runs,
     statements,
-    thresholds,
+    tutorial,
     viewer_kit,
 )
 
-from gsgen.conformance.fixtures import example_model_of_rule
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.contract.reporters.document import schema
-from gsgen.contract.reporters.rule_pages import index, page
+from gsgen.contract.reporters.rule_pages import index
 from gsgen.contract.spec.manifest_io import schemas
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL_TILE
@@ -82,15 +81,6 @@ PARTS: dict[str, Part] = {
     "waiver-keys": contract.waiver_keys,
 }
 
-# The end of a rule's page that has a picture.
-_PICTURE = (
-    "\n## Right and wrong\n\n"
-    "![a right scene, and one that breaks the rule](../assets/rules/{name})\n\n"
-    "{caption}\n"
-)
-_SIDES = "Left: a right scene. Right: the example that breaks the rule."
-_FRAMES = "Four frames of each. Above: a right scene. Below: the example that breaks the rule."
-
 _MARKED = re.compile(
     r"(<!-- generated: (?P<name>[^>]+?) -->\n).*?(<!-- end generated -->)", re.DOTALL
 )
@@ -109,16 +99,8 @@ def fill(text: str) -> str:
 def generated() -> dict[Path, str]:
     """Return the current content of every file that is generated, wholly or in part."""
     registry = rules.ours()
-    pages = {
-        DOCS / "rules" / f"{rule.id}.md": (
-            page(rule, registry, example_model_of_rule(rule.id)) + thresholds.section(rule)
-        )
-        for rule in registry.rules.values()
-    }
-    for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):
-        rule, _, frames = picture.stem.partition("-")
-        caption = _FRAMES if frames else _SIDES
-        pages[DOCS / "rules" / f"{rule}.md"] += _PICTURE.format(name=picture.name, caption=caption)
+    pages = {DOCS / "rules" / f"{rule.id}.md": rules.page(rule) for rule in registry.rules.values()}
+    pages[DOCS / "tutorial.md"] = tutorial.page()
     pages[DOCS / "rules" / "index.md"] = index(registry)
     pages |= {
         DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite) for rewrite in passes.REWRITES

@@ -1,4 +1,6 @@
-"""Put the browser client and small models into the built site, for its page of live examples.
+"""Put the browser client and small models into the built site, for its live examples.
+
+Beside them, the drop page as one file that works from disk.
 
 Run the script after the site was built: .venv/bin/python scripts/write_live.py site
 """
@@ -16,7 +18,8 @@ from gsgen.reference_plugins.people.gauhuman_plugin import build
 from gsgen.reference_plugins.samples.files import write_samples
 from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_motion
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES, ort_folder
-from gsgen.runtime.web.pages import client_file, client_names
+from gsgen.runtime.web.pages import ModelView, client_file, client_names, single_file_page
+from gsgen.runtime.web.three_js import THREE
 from gsgen.sdk import export
 from gsgen.tiles.build.build import build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
@@ -24,6 +27,14 @@ from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import SilentProgress
 
+_DOCS = Path(__file__).parents[1] / "docs"
+_DROP_STYLE = """<style>
+main { display: block; max-width: 60rem; margin: auto }
+gsgen-scene { display: block; height: 60vh }
+.drop-field { border: 2px dashed #9aa0a6; padding: 2rem }
+td, th { text-align: left; vertical-align: top; padding: .2rem .6rem; overflow-wrap: anywhere }
+[hidden] { display: none !important }
+</style>"""
 MODELS = ("garden.sog", "scene.json", "sunflower.onnx", "tiles/tileset.json", "walk.onnx")
 """The models of the page, which lie in the folder ``live`` of the site."""
 
@@ -48,14 +59,32 @@ def write_live(site: Path) -> None:
     """Write the client, ONNX Runtime Web and the models into the folder ``live`` of a site."""
     live = site / "live"
     client = live / "gsgen"
-    (client / "ort").mkdir(parents=True, exist_ok=True)
+    client.mkdir(parents=True, exist_ok=True)
     for name in client_names():
         (client / name).write_bytes(client_file(name))
-    runtime = ort_folder(None)
-    for name in ORT_FILES:
-        shutil.copy(runtime / name, client / "ort" / name)
+    libraries = {"ort": (ort_folder(None), ORT_FILES), "three": (THREE.located(None), THREE.names)}
+    for library, (folder, names) in libraries.items():
+        for name in names:
+            (client / library / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(folder / name, client / library / name)
+    page = drop_page(libraries["ort"][0], libraries["three"][0])
+    (live / "drop.html").write_text(page, "utf-8")
     with tempfile.TemporaryDirectory() as work:
         _write_models(Path(work), live)
+
+
+def drop_page(ort: Path | None, three: Path | None) -> str:
+    """Return the drop page as one HTML file, which needs no site and no network."""
+    text = (_DOCS / "drop.md").read_text("utf-8")
+    body = text.partition("<!-- drop page -->")[2].partition("<!-- end of drop page -->")[0]
+    script = (_DOCS / "assets" / "drop.js").read_text("utf-8")
+    page = single_file_page([], ModelView(), ort, three=three)
+    page = page.replace("<title></title>", f"<title>gsgen: drop a file</title>\n{_DROP_STYLE}")
+    start, _, end = page.partition("<main>")
+    body = body.replace(' data-root="../"', "")
+    scripts = f'<script type="module">{script}</script><script type="module">import "gsgen/scene.js";'
+    end = end.replace('<script type="module">import "gsgen/gsgen.js";', scripts)
+    return f"{start}<main>\n<h1>Drop a file</h1>{body}{end}"
 
 
 def _write_models(work: Path, live: Path) -> None:

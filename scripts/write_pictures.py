@@ -3,6 +3,7 @@
     write_pictures.py plugins [NAME…]   the plugins' pages: the strips of the demo (`make pictures`)
     write_pictures.py gallery           docs/gallery.md, by running its blocks (`make gallery`)
     write_pictures.py hero              the picture of README.md and the home page (`make hero`)
+    write_pictures.py tutorial          what the cells of the tutorial show (`make tutorial`)
 
 In the gallery, a comment before a block names its result:
 
@@ -17,6 +18,8 @@ All blocks run in one folder, in the order of the page, as a reader would run th
 picture's JPEG is a digest of the blocks that it depends on: a test sees when they change.
 """
 
+import ast
+import contextlib
 import hashlib
 import io
 import json
@@ -28,6 +31,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from PIL import Image, ImageDraw, ImageFont
 
@@ -257,6 +261,35 @@ def write_hero(path: Path = ASSETS / "hero.jpg") -> None:
     sys.stdout.write(f"{path.relative_to(ROOT)}: {path.stat().st_size:,} bytes\n")
 
 
+def write_tutorial() -> None:
+    """Run the cells of the notebook in an empty folder, and store what each shows."""
+    from docs_parts.tutorial import OUTPUTS, cells, text_of
+
+    shutil.rmtree(OUTPUTS.parent, ignore_errors=True)
+    OUTPUTS.parent.mkdir(parents=True)
+    namespace: dict[str, Any] = {"__name__": "tutorial"}
+    outputs: dict[str, dict[str, str]] = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for cell in cells():
+            if cell["cell_type"] != "code":
+                continue
+            tree = ast.parse(cell["source"])
+            last = ast.unparse(tree.body.pop()) if isinstance(tree.body[-1], ast.Expr) else "None"
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                exec(compile(tree, "<cell>", "exec"), namespace)
+                value = eval(last, namespace)
+            output = outputs[cell["id"]] = {"digest": cell["digest"]}
+            png = getattr(value, "_repr_png_", lambda: None)()
+            if png is not None:
+                output["picture"] = f"{cell['id']}.jpg"
+                with Image.open(io.BytesIO(png)) as picture:
+                    data = compressed(picture.convert("RGB"), LIMIT)
+                (OUTPUTS.parent / output["picture"]).write_bytes(data)
+            elif text := text_of(value, printed.getvalue()):
+                output["text"] = text
+    OUTPUTS.write_text(json.dumps(outputs, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["plugins", *names]:
@@ -265,5 +298,7 @@ if __name__ == "__main__":
             write_gallery()
         case ["hero"]:
             write_hero()
+        case ["tutorial"]:
+            write_tutorial()
         case _:
-            sys.exit(f"usage: {sys.argv[0]} plugins [NAME…], gallery or hero")
+            sys.exit(f"usage: {sys.argv[0]} plugins [NAME…], gallery, hero or tutorial")

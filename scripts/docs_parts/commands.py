@@ -156,9 +156,9 @@ def plugin_table() -> str:
         plugin = point.load()
         inputs = code(plugin.inputs) or "none"
         link = f"[{point.name}]({point.name}.md)"
-        rows.append((link, plugin.headline, plugin.reads, inputs, _cited(plugin.publication)))
-    columns = ("plugin", "what it exports", "what it reads", "inputs of the model")
-    return table((*columns, "paper, code and its licence"), rows)
+        rows.append((link, plugin.headline, inputs, _cited(plugin.publication)))
+    columns = ("plugin", "what it exports", "inputs of the model", "paper, code and its licence")
+    return table(columns, rows)
 
 
 def plugin_list() -> str:

@@ -18,6 +18,11 @@ Exactness is that of outputs: *bit for bit* (zeros of either sign, and NaNs, cou
 |---|---|---|---|
 """
 
+_LINKS = (
+    "[All passes](index.md) · [Why does capture fail?](../guides/why-does-capture-fail.md) · "
+    "[gsgen rewrite](../commands.md#gsgen-rewrite)"
+)
+
 
 def page(rewrite: type[Rewrite]) -> str:
     """Return the Markdown page of a pass."""
@@ -27,7 +32,7 @@ def page(rewrite: type[Rewrite]) -> str:
     return (
         f"# {rewrite.name}\n\n{marked(first)}\n\n{facts}\n\n"
         f"## Why\n\n{pictured(body.strip())}\n\n"
-        f"## Run it alone\n\n```bash\n{run}\n```\n"
+        f"## Run it alone\n\n```bash\n{run}\n```\n\n---\n\n{_LINKS}\n"
     )
 
 

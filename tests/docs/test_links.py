@@ -7,6 +7,7 @@ from types import ModuleType
 import pytest
 import yaml
 
+import gsgen
 from gsgen.cli.command_table import PANELS
 from gsgen.sdk.passes.registry import REWRITES
 from gsgen.tiles.validation.rules import all_rules
@@ -26,6 +27,13 @@ def test_every_relative_link_leads_to_a_file_and_a_heading(page):
             assert target_path.is_relative_to(DOCS), f"{name_of(page)}: {link}"
         if anchor:
             assert anchor in anchors(target_path), f"{name_of(page)}: {link}"
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_no_page_is_a_dead_end(page: Path) -> None:
+    """Its text leads to three other pages, navigation aside."""
+    others = {link.partition("#")[0] for link in links(page)} - {""}
+    assert len(others) >= 3, sorted(others)
 
 
 def test_every_rule_is_listed_and_has_a_page():
@@ -58,7 +66,7 @@ def test_every_page_can_be_reached():
 
 def test_every_page_of_the_navigation_exists():
     text = (ROOT / "mkdocs.yml").read_text("utf-8")
-    named = _files(yaml.safe_load(text)["nav"])
+    named = [file for file in _files(yaml.safe_load(text)["nav"]) if "://" not in file]
     assert len(named) == len(set(named))
     on_site = {page.relative_to(DOCS).as_posix() for page in pages() if page != README}
     rules = {
@@ -92,6 +100,7 @@ def _visible_lines(page: Path) -> list[str]:
         "sdk.math",
         "formats",
         "runtime",
+        "tiles",
     ],
 )
 def test_every_public_name_is_on_its_page(name):
@@ -102,6 +111,11 @@ def test_every_public_name_is_on_its_page(name):
         # A page may show a module as a whole.
         shown |= {last, *(actual.__all__ if isinstance(actual, ModuleType) else ())}
     assert set(import_module(f"gsgen.{name}").__all__) <= shown
+
+
+def test_the_front_door_is_on_its_page() -> None:
+    shown = {path.rpartition(".")[2] for path in _visible_lines(DOCS / "api" / "gsgen.md")}
+    assert shown == {*gsgen.__all__} - {"__version__"}
 
 
 def test_no_name_is_on_two_places_of_a_page():

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 from gsgen.contract._safe_text import for_html
 from gsgen.contract.reporters.plots import histogram, number_line
-from gsgen.contract.reporters.rule_pages import help_url
+from gsgen.contract.reporters.rule_pages import drop_url, help_url
 from gsgen.contract.reporters.summary import plural, summary_line, verdict_line, verdict_word
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Finding
@@ -76,6 +76,8 @@ def _report_section(entry: Entry, number: int) -> str:
         *(_unchecked_html(outcome) for outcome in entry.unchecked),
         *(_finding_html(finding, entry) for finding in counted_findings),
     ]
+    if url := drop_url(entry.docs_url):
+        parts.append(f'<p>See it in a browser: <a href="{for_html(url)}">drop the model</a>.</p>')
     if remaining:
         finding_cards = "".join(_finding_html(finding, entry) for finding in remaining)
         title = f"{plural(len(remaining), 'finding')} waived or known"

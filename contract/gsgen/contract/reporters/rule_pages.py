@@ -1,6 +1,6 @@
 """Renders the documentation of a rule from its declaration: page, list entry, JSON."""
 
-__all__ = ["help_path", "help_url", "index", "page", "to_dict"]
+__all__ = ["drop_url", "help_path", "help_url", "index", "page", "to_dict"]
 
 from functools import cache
 from importlib.metadata import metadata
@@ -35,8 +35,18 @@ def help_url(rule: Rule, docs_url: str = "") -> str:
         rule: The rule.
         docs_url: Root of the documentation; by default, the one that the package names.
     """
-    root, path = docs_url or _published_docs(), help_path(rule)
-    return f"{root.rstrip('/')}/{path.removesuffix('.md')}/" if root and path else ""
+    path = help_path(rule)
+    return _page_url(path.removesuffix(".md"), docs_url) if path else ""
+
+
+def drop_url(docs_url: str = "") -> str:
+    """Return the web address of the page that shows dropped files; empty as of :func:`help_url`."""
+    return _page_url("drop", docs_url)
+
+
+def _page_url(path: str, docs_url: str) -> str:
+    root = docs_url or _published_docs()
+    return f"{root.rstrip('/')}/{path}/" if root else ""
 
 
 @cache

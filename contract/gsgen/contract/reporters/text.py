@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from gsgen.contract._safe_text import printable
+from gsgen.contract.reporters.rule_pages import drop_url
 from gsgen.contract.reporters.summary import plural, summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
@@ -85,6 +86,8 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         runtime_text = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
         lines.append(Line(f"  took {report.seconds:.2f} s, of which {runtime_text}"))
     lines.append(_verdict(report))
+    if url := drop_url(report.docs_url):
+        lines.append(Line(f"see it in a browser: {url}"))
     return [Line(printable(line.text), line.style) for line in lines]
 
 

@@ -26,11 +26,9 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     """External weights lie in files in or below the model's folder, and are complete.
 
     Why:
-        A path that leads out of the folder makes the machine that loads the model read files of the
-        author's choosing, and so may a second name (hard link) of another file; a missing or short
-        file, or a length that is not that of the weight, fails only when the model is loaded. If
-        the model itself is a link, as in caches that store files by digest, its weights may be
-        links to files beside the model's real file.
+        A path out of the folder, or a hard link, makes the loading machine read files of the
+        author's choosing; a missing or short file fails only when the model is loaded. If the model
+        itself is a link, as in caches, its weights may be links to files beside its real file.
 
     Hint:
         Store weights inside the model or in a file beside it, and ship both.

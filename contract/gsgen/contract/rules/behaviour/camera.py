@@ -220,10 +220,9 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     """Rows that a camera does not draw leave no hole in its picture, compared with all rows.
 
     Why:
-        Models cull what their camera cannot see by setting its opacity to zero. Culling with a
-        wrong matrix, sign, lens or margin makes holes in the picture that move with the camera. The
-        pictures are drawn from inside, from the rim, from near and far, in portrait and in
-        landscape, of the rows that any of these cameras draws.
+        Models cull by an opacity of zero. A wrong matrix, sign, lens or margin makes holes that
+        move with the camera. Pictures are drawn from inside, near and far, in portrait and
+        landscape.
 
     Hint:
         Cull behind the camera and outside the frustum widened by a tenth: of the projection matrix

@@ -72,10 +72,9 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """Outputs with and without ONNX Runtime's graph optimisations agree within the tolerances.
 
     Why:
-        Optimisers rewrite graphs, and some rewrites are wrong or amplify rounding. Every runtime
-        and every release has others, so such a model shows something else elsewhere. Packed rows
-        and cells are compared field by field with the tolerances of the configuration, else the
-        manifest's, else the contract's; other outputs by one hundredth of their largest value.
+        Some rewrites of optimisers are wrong or amplify rounding, and each runtime has others. Rows
+        and cells are compared by field with the tolerances of the configuration, the manifest or
+        the contract; other outputs by a hundredth of their largest value.
 
     Hint:
         Find the operators by switching optimisations off one by one; write that part differently.

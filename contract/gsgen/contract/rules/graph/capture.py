@@ -269,8 +269,8 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     Why:
         Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,
         Squeeze, Unsqueeze or Identity repeats the first frame for ever, without any error. So does
-        one by an operator with nothing to do (a reduction over no axes, Max or Min of one input),
-        and an update in place by ScatterND or ScatterElements.
+        an operator with nothing to do (Max of one input), and an update by ScatterND or
+        ScatterElements.
 
     Hint:
         End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace

@@ -27,8 +27,8 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
 
     Why:
         A 3DGS PLY has f_dc first and then f_rest channel by channel: all red coefficients, all
-        green, all blue. Copied as they are, highlights become rainbows that change with the camera.
-        So they do if each degree is stored by channel, or if columns are read too early or late.
+        green, all blue. Copied as they are, highlights become rainbows that change with the camera;
+        so they do if each degree is stored by channel.
 
     Hint:
         Reshape f_rest to [N, 3, K - 1], transpose it to [N, K - 1, 3], and put f_dc in front. If

@@ -32,9 +32,9 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     """Flat Gaussians lie in the surface of their neighbours, and thin ones along their strand.
 
     Why:
-        The thinnest axis of a disc is the normal of its surface, and the longest axis of a needle
-        the direction of its strand. Where neither fits the neighbours, covariances were rotated
-        in another way than positions: the surface looks like a hedgehog.
+        The thinnest axis of a disc is its surface's normal, the longest of a needle its strand's
+        direction. Where neither fits the neighbours, covariances were rotated otherwise than
+        positions: a hedgehog.
 
     Hint:
         Check the order of the quaternion (w x y z, not x y z w), normalise it, and build R S Sᵀ Rᵀ,

@@ -85,11 +85,9 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     """Gaussians are neither far larger nor far smaller than the distance to their neighbours.
 
     Why:
-        Gaussians far smaller than the distance to their neighbours leave holes, and far larger
-        ones blur everything: the scale was not activated, was activated or squared twice, or
-        positions and scales were converted into different units. Of 1,000 right scenes that were
-        drawn at random, 3 are suspected: thick discs that overlap look like standard deviations in
-        place of variances, of which the rule sees four in ten.
+        Too small, they leave holes; too large, they blur: the scale was not activated, activated or
+        squared twice, or has another unit than positions. Of 1,000 random right scenes 3 are
+        suspected; of standard deviations in place of variances the rule sees four in ten.
 
     Hint:
         Apply exp to log scales once, square standard deviations once, and multiply covariances by

@@ -29,10 +29,9 @@ def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation
     """Rotating the camera about its centre changes no colour and no covariance of drawn Gaussians.
 
     Why:
-        The direction from the camera to a Gaussian does not depend on where the camera looks. A
-        change means that the camera's centre was computed wrongly: the view matrix was taken for
-        camera-to-world, its rotation was left out, transposed or mirrored. Covariances that turn
-        with the camera are in camera space.
+        The direction to a Gaussian does not depend on where the camera looks. A change means a
+        wrong centre: the view matrix was taken for camera-to-world, or its rotation left out,
+        transposed or mirrored. Covariances that turn are in camera space.
 
     Hint:
         The view matrix is world-to-camera: its camera's centre is −Rᵀ t. Take directions from

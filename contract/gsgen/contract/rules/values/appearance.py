@@ -29,9 +29,9 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1], or in the declared range, in every drawn row.
 
     Why:
-        Values up to 255 are bytes that were not divided, and show as white. Values around zero
-        are SH coefficients passed as colours, and show as black. Where no manifest says that three
-        channels are RGB, they may be SH of degree 0, so the finding is possible then.
+        Values up to 255 are undivided bytes, and show as white; values around zero are SH
+        coefficients, and show as black. Without a manifest they may be SH of degree 0: the finding
+        is possible then.
 
     Hint:
         Divide bytes by 255; turn [-1, 1] into (x + 1) / 2, and the SH constant term into colour as

@@ -87,7 +87,7 @@ function recognised(head, size) {
   const marked = READER_OF_KIND[kind?.name];
   // Formats without a mark are told by their first rows, as Python tells them.
   const unmarked = looksLikeKsplat(head, size) ? "ksplat" : looksLikeSplat(head, size) ? "splat" : undefined;
-  return { kind, reader: marked ?? unmarked };
+  return { kind, reader: marked ?? (kind && head[0] === 0x7b ? undefined : unmarked) };
 }
 
 /** @returns {Promise<FileContent>} */

@@ -44,9 +44,8 @@ def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile looks like the tiles that replace it, with an SSIM of 0.5 or more.
 
     Why:
-        A viewer shows a tile first, and then its children. If they differ, the picture jumps:
-        a level was made of another scene, lost its transform, or its splats were dropped and the
-        others did not grow.
+        If they differ, the picture jumps: a level is of another scene, lost its transform, or its
+        splats were dropped and the others did not grow.
 
     Hint:
         Build the levels again, or state a larger geometric error. The root and the parent of the
