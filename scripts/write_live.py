@@ -82,7 +82,9 @@ def drop_page(ort: Path | None, three: Path | None) -> str:
     page = page.replace("<title></title>", f"<title>gsgen: drop a file</title>\n{_DROP_STYLE}")
     start, _, end = page.partition("<main>")
     body = body.replace(' data-root="../"', "")
-    scripts = f'<script type="module">{script}</script><script type="module">import "gsgen/scene.js";'
+    scripts = (
+        f'<script type="module">{script}</script><script type="module">import "gsgen/scene.js";'
+    )
     end = end.replace('<script type="module">import "gsgen/gsgen.js";', scripts)
     return f"{start}<main>\n<h1>Drop a file</h1>{body}{end}"
 

@@ -16,7 +16,7 @@ from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.tiles.validation.fixtures import tiles_fixtures
 
 _MAX_LINES: Final = 14  # of a page's code
-_MAX_GOOD: Final = 6  # lines where none is about the same
+_MAX_GOOD: Final = 6  # good lines where the bad ones name other things
 _MAX_ROWS: Final = 64  # of a weight that is written row by row
 _WIDTH: Final = 88
 
@@ -30,7 +30,9 @@ def _flat(value: object, path: str = "") -> Iterator[str]:
         for number, inner in enumerate(value):
             yield from _flat(inner, f"{path}[{number}]")
     else:
-        rounded = [float(f"{part:.5g}") if isinstance(part, float) else part for part in _listed(value)]
+        rounded = [
+            float(f"{part:.5g}") if isinstance(part, float) else part for part in _listed(value)
+        ]
         text = json.dumps(rounded if isinstance(value, list) else rounded[0], ensure_ascii=False)
         yield f"{path}: {text}"
 
@@ -106,7 +108,9 @@ def _lines(fixture: Fixture) -> tuple[str, ...]:
 
 @cache
 def _right_models() -> tuple[tuple[str, ...], ...]:
-    return tuple(_lines(fixture) for fixture in (*fixtures(), *tiles_fixtures()) if not fixture.rule)
+    return tuple(
+        _lines(fixture) for fixture in (*fixtures(), *tiles_fixtures()) if not fixture.rule
+    )
 
 
 @cache

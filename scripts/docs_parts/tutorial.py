@@ -43,7 +43,9 @@ def page() -> str:
         if text := shown.get("text"):
             parts.append(f"```text\n{text}\n```")
         if picture := shown.get("picture"):
-            parts.append(f"![What the cell above shows]({OUTPUTS.parent.relative_to(_DOCS)}/{picture})")
+            parts.append(
+                f"![What the cell above shows]({OUTPUTS.parent.relative_to(_DOCS)}/{picture})"
+            )
     parts.append(
         "This page is [a notebook](tutorial.ipynb): download it, and run it with Jupyter. "
         "[Your first plugin](guides/your-first-plugin.md) goes on; [Quickstart](quickstart.md) has "
