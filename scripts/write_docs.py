@@ -30,9 +30,9 @@ from docs_parts import (
     rules,
     runs,
     statements,
-    tutorial,
     viewer_kit,
 )
+from docs_parts.pages import tutorial
 
 from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.contract.reporters.document import schema

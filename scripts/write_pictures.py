@@ -263,7 +263,7 @@ def write_hero(path: Path = ASSETS / "hero.jpg") -> None:
 
 def write_tutorial() -> None:
     """Run the cells of the notebook in an empty folder, and store what each shows."""
-    from docs_parts.tutorial import OUTPUTS, cells, text_of
+    from docs_parts.pages.tutorial import OUTPUTS, cells, text_of
 
     shutil.rmtree(OUTPUTS.parent, ignore_errors=True)
     OUTPUTS.parent.mkdir(parents=True)

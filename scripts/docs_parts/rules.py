@@ -5,7 +5,7 @@ from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
-from docs_parts import bad_and_good, thresholds
+from docs_parts.pages import bad_and_good, thresholds
 from docs_parts.tables import table
 from gsgen.contract.reporters.rule_pages import FAMILY_TITLES
 from gsgen.contract.spec.severity import Level

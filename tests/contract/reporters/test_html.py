@@ -9,6 +9,7 @@ from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.reporters.html import to_html
 from gsgen.contract.reporters.plots import histogram, number_line
 from gsgen.contract.reporters.summary import plural
+from gsgen.contract.reporters.text import render
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.pictures import with_picture
 from gsgen.contract.validation.finding import Distribution, Location, Statistic
@@ -104,6 +105,8 @@ def test_a_rule_links_to_its_page_where_documentation_is_published(reports):
     report = replace(reports["broken"], docs_url="https://docs.example/en/")
     links = [a["href"] for a in page(report).all("a")]
     assert "https://docs.example/en/rules/GV003/" in links
+    assert "https://docs.example/en/drop/" in links
+    assert render(report)[-1].text == "see it in a browser: https://docs.example/en/drop/"
 
 
 def test_a_picture_is_part_of_the_page_and_its_absence_has_a_reason(reports):

@@ -221,14 +221,12 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
 
     Why:
         Models cull by an opacity of zero. A wrong matrix, sign, lens or margin makes holes that
-        move with the camera. Pictures are drawn from inside, near and far, in portrait and
-        landscape.
+        move with the camera. Pictures are drawn from inside, near and far.
 
     Hint:
-        Cull behind the camera and outside the frustum widened by a tenth: of the projection matrix
-        that is fed, with the width before the height; check the matrix order, and that +z is
-        forward. Keep the near plane below a hundredth of the scene, and the finest level where the
-        distance is smallest.
+        Cull behind the camera and outside the frustum of the fed projection, widened by a tenth;
+        check the matrix order, and that +z is forward. Keep the near plane below a hundredth of the
+        scene.
     """
     scene = _read_scene(behaviour)
     if scene is None:

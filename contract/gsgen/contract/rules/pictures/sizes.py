@@ -86,8 +86,8 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
 
     Why:
         Too small, they leave holes; too large, they blur: the scale was not activated, activated or
-        squared twice, or has another unit than positions. Of 1,000 random right scenes 3 are
-        suspected; of standard deviations in place of variances the rule sees four in ten.
+        squared twice, or has another unit. Of 1,000 random right scenes 3 are suspected; of
+        standard deviations in place of variances the rule sees four in ten.
 
     Hint:
         Apply exp to log scales once, square standard deviations once, and multiply covariances by

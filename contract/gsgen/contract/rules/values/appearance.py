@@ -30,8 +30,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
 
     Why:
         Values up to 255 are undivided bytes, and show as white; values around zero are SH
-        coefficients, and show as black. Without a manifest they may be SH of degree 0: the finding
-        is possible then.
+        coefficients, and show as black. Without a manifest the finding is possible.
 
     Hint:
         Divide bytes by 255; turn [-1, 1] into (x + 1) / 2, and the SH constant term into colour as

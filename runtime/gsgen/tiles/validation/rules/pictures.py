@@ -48,10 +48,9 @@ def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:
         splats were dropped and the others did not grow.
 
     Hint:
-        Build the levels again, or state a larger geometric error. The root and the parent of the
-        leaf with the most splats are compared with their children where the geometric error is
-        16 pixels. Levels by moment matching have .7 to .9 there; a level that is turned, shifted
-        by a quarter of its size, or has the colours of other splats, less than .5.
+        Build the levels again, or state a larger geometric error. The root and one parent of leaves
+        are compared with their children where the error is 16 pixels. Right levels have .7 to .9
+        there; one that is turned, shifted by a quarter or has other colours less than .5.
     """
     for pair in inspected.drawn.levels if inspected.drawn else ():
         if not pair.ssim >= MIN_SIMILARITY:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any, Final
 
-_DOCS = Path(__file__).parents[2] / "docs"
+_DOCS = Path(__file__).parents[3] / "docs"
 OUTPUTS: Final = _DOCS / "assets" / "tutorial" / "outputs.json"
 """What the cells show, by their ids: a text, the name of a picture, and the digest of their code."""
 
