@@ -34,7 +34,7 @@ TERMS = {
     "3D Tiles": "spec/tilesets",
     "float16": "commands",
     "onnxruntime-gpu": "install",
-    "checkpoint": "quickstart",
+    "checkpoint": "plugins",
     "panorama": "guides/coordinate-systems-and-cameras",
     "turntable": "quickstart",
     "level of detail": "guides/a-city-in-tiles",

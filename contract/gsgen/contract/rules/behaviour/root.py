@@ -101,9 +101,9 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
     """A root rotation M turns the body about its root: points p by M p, covariances Σ by M Σ Mᵀ.
 
     Why:
-        A matrix that is multiplied from the wrong side, or read in the other memory order, is its
-        inverse: the body turns the other way, and is right at rest alone. One that turns about the
-        feet or the origin leaves its place; covariances that stay stand across the skin.
+        A matrix multiplied from the wrong side, or read in the other memory order, is its inverse:
+        the body turns the other way. One turned about the feet leaves its place; covariances may
+        stay.
 
     Hint:
         Multiply rows from the right by Mᵀ (p Mᵀ), as the tensor holds M row by row; subtract the

@@ -87,7 +87,7 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     Why:
         Too small, they leave holes; too large, they blur: the scale was not activated, activated or
         squared twice, or has another unit. Of 1,000 random right scenes 3 are suspected; of
-        standard deviations in place of variances the rule sees four in ten.
+        standard deviations for variances the rule sees four in ten.
 
     Hint:
         Apply exp to log scales once, square standard deviations once, and multiply covariances by

@@ -29,9 +29,8 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
 
     Why:
         Where all cameras of pictures move together, the pixels' Gaussians move with them. Libraries
-        differ in whether a pose is world-to-camera or camera-to-world, in the memory order, in the
-        axes of a camera, and in the unit of its intrinsics: read in another way, the pictures
-        disagree, and the scene lies elsewhere than their cameras.
+        differ in the direction of a pose, memory order, axes and the unit of intrinsics: read
+        otherwise, the scene lies elsewhere than its cameras.
 
     Hint:
         `image_view` is world-to-camera with +x right, +y down and +z forward, `image_intrinsics` in
@@ -72,10 +71,8 @@ def pictures_come_back(behaviour: Behaviour) -> Iterator[Violation]:
     """Gaussians of a picture have the colours of its pixels, at their middles, each by its camera.
 
     Why:
-        Libraries differ in the order of channels, in the range and the encoding of colours, in
-        whether pixels run row by row, and in where the middle of a pixel is. A row whose colour is
-        that of its pixel but for such a change was made by it. Networks that compute other colours
-        are not judged.
+        Libraries differ in channels, range and encoding of colours, order and middle of pixels. A
+        colour that differs from its pixel's by such a change was made by it; others are not judged.
 
     Hint:
         Pictures are [V, 3, height, width] with red first, sRGB-encoded; pixel (0, 0) has its middle

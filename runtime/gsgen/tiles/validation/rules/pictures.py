@@ -44,8 +44,8 @@ def levels_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """A tile looks like the tiles that replace it, with an SSIM of 0.5 or more.
 
     Why:
-        If they differ, the picture jumps: a level is of another scene, lost its transform, or its
-        splats were dropped and the others did not grow.
+        If they differ, the picture jumps: a level is of another scene, lost its transform, or
+        splats were dropped and others did not grow.
 
     Hint:
         Build the levels again, or state a larger geometric error. The root and one parent of leaves
