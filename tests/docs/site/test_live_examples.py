@@ -51,7 +51,8 @@ def test_every_example_is_a_model_that_the_script_writes() -> None:
         f"live/{name}" for name in sorted(written_models())
     ]
     assert all(len(str(model["alt"])) > 10 for model in models)
-    [script] = elements.attributes["script"]
+    modules, script = elements.attributes["script"]
+    assert modules == {"type": "importmap"}
     assert script == {"type": "module", "src": "live/gsgen/scene.js"}
 
 
@@ -73,7 +74,7 @@ def test_every_example_is_drawn(tmp_path: Path) -> None:
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     script.write_live(tmp_path)
-    elements = re.findall(r"^(?:<script .*</script>|<gsgen-.*)$", _PAGE, re.M)
+    elements = re.findall(r'^(?:<script type="module".*</script>|<gsgen-.*)$', _PAGE, re.M)
     style = (
         "<style>gsgen-model, gsgen-scene { width: 120px; height: 90px; aspect-ratio: auto }</style>"
     )
