@@ -64,9 +64,11 @@ coverage: tools
 tools:
 	@$(MAKE) --no-print-directory -j3 drivers setup ort
 
-# ONNX Runtime Web, which computes generators in a page: fetched once, into the user's cache.
+# ONNX Runtime Web and three.js, which compute generators and draw without WebGPU in a page:
+# fetched once, into the user's cache.
 ort: setup
 	$(BIN)/python -c 'from gsgen.runtime.web.onnxruntime_web import ort_folder; ort_folder(None)'
+	$(BIN)/python -c 'from gsgen.runtime.web.three_js import THREE; THREE.located(None)'
 
 check: setup
 	@$(MAKE) --no-print-directory -j2 --output-sync types style
