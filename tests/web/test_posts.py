@@ -147,7 +147,16 @@ def scene_of(*posts: object, **fields: object) -> dict[str, Any]:
     return {"models": ["knot.ply"], "posts": list(posts), **view, **fields}
 
 
-@pytest.mark.parametrize("name", _EXPORTS)
+# At night, too, two whose size and values others have: of a fixed size, and with a timestep.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            n, marks=[pytest.mark.nightly] if n in ("stylise-larger", "denoiser-unit") else []
+        )
+        for n in _EXPORTS
+    ],
+)
 def test_every_export_changes_the_picture_as_python_does(
     name: str, page: Any, site: WebSite, folder: Path, renderer: Renderer
 ) -> None:

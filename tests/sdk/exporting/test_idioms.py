@@ -59,9 +59,17 @@ def test_an_idiom_of_values_or_training_is_refused_with_its_line(
     assert_refused(refusal, tmp_path)
 
 
+# Every third of them before each change, from each module of idioms; all of them at night.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:index_reduce:UserWarning")
-@pytest.mark.parametrize("function", EXPORTED, ids=lambda function: function.__name__)
+@pytest.mark.parametrize(
+    "function",
+    [
+        pytest.param(function, marks=[pytest.mark.nightly] if number % 3 else [])
+        for number, function in enumerate(EXPORTED)
+    ],
+    ids=lambda function: function.__name__,
+)
 def test_an_idiom_is_exported_with_parity(function: Idiom, tmp_path: Path) -> None:
     assert export_idiom(function, tmp_path).parity.holds
 
