@@ -27,6 +27,7 @@ _TEXT_PARAMETERS: Final = ("camera", "inputs", "pose", "sources", "tileset")
 # Parameters of models; splats are read from standard input by gsgen.formats.
 _MODEL_PARAMETERS: Final = ("first", "model", "models", "paths", "scenes", "second")
 _TILESET_PARAMETERS: Final = ("paths", "scene", "scenes", "sources", "tileset")
+_STREAM_PARAMETERS: Final = ("scenes", "tileset")  # of a streamed SOG, too
 _ADDRESS_TEXT: Final = re.compile(
     r"(?P<before>[\w.]*=)?(?P<address>[A-Za-z][A-Za-z0-9+.-]+:/.*?)(?P<after>#[^#/]*)?"
 )
@@ -87,9 +88,9 @@ def _local_text(parameter: str, text: str) -> str:
     if parameter in OUTPUT_PARAMETERS:
         raise ConfigInvalid("is an address, expected a path on this machine", where=text)
     if parameter in _TILESET_PARAMETERS:
-        from gsgen.formats.tileset_paths import names_tileset
+        from gsgen.formats.tileset_paths import names_stream, names_tileset
 
-        if names_tileset(address):
+        if (names_stream if parameter in _STREAM_PARAMETERS else names_tileset)(address):
             return _without_slashes_in_query(address)
     path = str(_fetched(address))
     return f"{match['before'] or ''}{path}{match['after'] or ''}" if has_name else path

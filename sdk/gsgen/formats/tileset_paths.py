@@ -1,6 +1,6 @@
 """Recognises paths and addresses of tilesets (3D Tiles): by names, JSON files by their content."""
 
-__all__ = ["INDEX_FILE", "names_tileset", "names_tileset_or_content"]
+__all__ = ["INDEX_FILE", "names_stream", "names_tileset", "names_tileset_or_content"]
 
 import os
 from functools import cache
@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 from urllib.parse import urlsplit
 
+from gsgen.contract.file_kinds.names import STREAMED_META
 from gsgen.contract.file_kinds.recognition import RECOGNITION_BYTES, kind_of, kind_of_file
 from gsgen.formats.codecs import codec_named
 
@@ -41,6 +42,12 @@ def names_tileset(path: str | os.PathLike[str]) -> bool:
     if name.endswith(".json"):
         return name not in codec_named("sog").suffixes and _may_be_tileset(text)
     return (Path(text) / INDEX_FILE).is_file()
+
+
+def names_stream(path: str | os.PathLike[str]) -> bool:
+    """Return whether frames stream a path or address: a tileset, or the JSON of a streamed SOG."""
+    name = urlsplit(os.fspath(path)).path.rpartition("/")[2].lower()
+    return name == STREAMED_META or names_tileset(path)
 
 
 def names_tileset_or_content(path: Path) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsgen.formats.shared.origins import Origin
-from gsgen.formats.tileset_paths import names_tileset
+from gsgen.formats.tileset_paths import names_stream, names_tileset
 from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.mesh_files import is_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
@@ -46,7 +46,7 @@ def open_source(
         InputUnreadable: The file at an address cannot be had.
     """
     if not path.exists() or path.suffix.lower() == ".zip":
-        path = _on_disk(path)
+        path = _on_disk(path, is_streamed=stream is not None)
     if files := sequence_files(path):
         return (
             SequenceSource(path, files, origin)
@@ -55,19 +55,20 @@ def open_source(
         )
     if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes, confined)
-    if names_tileset(path):
-        if stream is None:
-            raise SceneUnreadable(
-                "is a tileset, which this function was given nothing to open with",
-                where=str(path),
-                hint="Pass stream=gsgen.tiles.open_stream.",
-            )
+    if stream is not None and names_stream(path):
         return stream(path, provider)
+    if names_tileset(path):
+        raise SceneUnreadable(
+            "is a tileset, which this function was given nothing to open with",
+            where=str(path),
+            hint="Pass stream=gsgen.tiles.open_stream.",
+        )
     return MeshSource(path) if is_mesh(path) else StillFrameSource(path, origin)
 
 
-def _on_disk(path: Path) -> Path:
-    """Return the file of an address or archive; tilesets stay addresses."""
+def _on_disk(path: Path, *, is_streamed: bool) -> Path:
+    """Return the file of an address or archive; what is streamed stays an address."""
     from gsgen.contract.model.fetched_inputs import local_file
 
-    return path if names_tileset(path) else local_file(path)
+    stays = names_stream(path) if is_streamed else names_tileset(path)
+    return path if stays else local_file(path)

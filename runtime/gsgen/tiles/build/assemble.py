@@ -1,15 +1,16 @@
 """Writes the ``tileset.json`` of a built tileset, and deletes files of earlier builds."""
 
-__all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index"]
+__all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index", "write_record"]
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats.tileset_paths import INDEX_FILE
 from gsgen.tiles.build.files import read_json
@@ -25,6 +26,11 @@ from gsgen.tiles.format.index import (
     write_tileset,
 )
 from gsgen.tiles.format.json_values import JsonDict
+
+_WRITTEN_FILES: Final = (
+    *("t/*/*.glb", "s/*/*.subtree", "tileset*.json", "n/*"),
+    *(STREAMED_META, f"[0-9]_*/{META_FILE}", "[0-9]_*/*.webp"),
+)
 
 ERROR_PER_CELL: Final = 4.0
 """Geometric error, in side lengths of the grid cell in which splats are merged.
@@ -95,8 +101,14 @@ def write_index(
     for name in [*names, *subtrees]:
         data = (output / name).read_bytes()
         files[name] = len(data), hashlib.sha256(data).hexdigest()
-    write_build_record(output / BUILD_RECORD, key=key, source_splats=count, files=dict(files))
+    write_record(plan, key, count, files)
     return files
+
+
+def write_record(plan: Plan, key: str, count: int, files: Mapping[str, tuple[int, str]]) -> None:
+    """Write the record of a build, which is complete with it."""
+    path = Path(plan.output) / BUILD_RECORD
+    write_build_record(path, key=key, source_splats=count, files=dict(files))
 
 
 def walk(tile: Tile) -> Iterator[Tile]:
@@ -152,13 +164,13 @@ def remove_stale(output: Path, files: dict[str, tuple[int, str]]) -> int:
     """Delete files of earlier builds that the tileset no longer names; return their number."""
     stale_files = [
         path
-        for pattern in ("t/*/*.glb", "s/*/*.subtree", "tileset-q*.json", "n/*")
+        for pattern in _WRITTEN_FILES
         for path in output.glob(pattern)
         if path.relative_to(output).as_posix() not in files
     ]
     for path in stale_files:
         path.unlink(missing_ok=True)
-    for folder in [*output.glob("[ts]/*"), *output.glob("[nts]")]:
+    for folder in [*output.glob("[ts]/*"), *output.glob("[nts]"), *output.glob("[0-9]_*")]:
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     return len(stale_files)

@@ -21,15 +21,15 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.process.drafts import lock_folder
 from gsgen.formats.merging.morton import DEPTH, Cube
-from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
+from gsgen.formats.shared.splats import DEFAULT_UP, NO_ORIGIN
+from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index, write_record
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_bytes, write_json
 from gsgen.tiles.build.frame import moved_transform, turned_transform
 from gsgen.tiles.build.neural_tiles import Generator
-from gsgen.tiles.build.octree import load_built
+from gsgen.tiles.build.octree import load_built, load_units
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
-from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
-from gsgen.tiles.build.plan_file import load_plan, save_plan
+from gsgen.tiles.build.plan import Plan, depth_of, load_plan, make_partitions, save_plan
 from gsgen.tiles.build.progress import Progress
 from gsgen.tiles.build.scan import ChunkFacts
 from gsgen.tiles.build.source import (
@@ -40,6 +40,7 @@ from gsgen.tiles.build.source import (
     open_scenes,
     row_dtype,
 )
+from gsgen.tiles.build.streamed_sog import UNIT_SPLATS, write_streamed_index
 from gsgen.tiles.build.tasks import (
     CountTask,
     PlanTask,
@@ -156,6 +157,8 @@ def build_tileset(
     """
     _require_output(output)
     files = open_scenes([path.resolve() for path in scenes], parameters.origin)
+    if parameters.is_streamed_sog:
+        _require_sog(files[0])
     if parameters.turn_upright:
         transform = turned_transform(parameters.transform, files[0].up)
         parameters = replace(parameters, transform=transform, turn_upright=False)
@@ -173,7 +176,7 @@ def build_tileset(
         tasks = [ScanTask(chunk=chunk, work=str(work)) for chunk in chunks]
         facts = run.phase("scan", total, run_scan, tasks)
         skipped = _report_skipped_splats(facts, chunks, progress)
-        if parameters.codec == "spz":
+        if parameters.codec == "spz" and not parameters.is_streamed_sog:
             _report_large_splats(facts, progress)
         splats = total - skipped
         if splats == 0:
@@ -231,6 +234,21 @@ def _sole_build(output: Path) -> Iterator[None]:
             os.close(descriptor)
 
 
+def _require_sog(file: SceneFile) -> None:
+    """Raise for what a streamed SOG cannot say of its splats."""
+    for name, actual, expected in (
+        ("color_space", file.color_space, "srgb"),
+        ("origin", file.origin, NO_ORIGIN),
+        ("up", file.up, DEFAULT_UP),
+    ):
+        if actual != expected:
+            raise ConfigInvalid(
+                f"{name} is {actual}, which a streamed SOG cannot state; expected {expected}",
+                where=file.path,
+                hint="Build a tileset: leave --codec sog out.",
+            )
+
+
 def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
     """Sort the splats by partition, then write the tiles of a saved build plan, leaves first."""
     plan = load_plan(path)
@@ -245,6 +263,8 @@ def _write_tiles(run: _BuildRun, path: str, rows: int) -> None:
     order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
     items = [PlanTask(plan=path, item=partition.index) for partition in order]
     run.phase("tiles", plan.count, run_partition, items)
+    if plan.parameters.is_streamed_sog:
+        return
     for depth in sorted({depth_of(cell) for cell in plan.top}, reverse=True):
         cells = [cell for cell in plan.top if depth_of(cell) == depth]
         items = [PlanTask(plan=path, item=cell) for cell in cells]
@@ -255,8 +275,18 @@ def _write_build_report(
     plan: Plan, key: str, skipped: int, generators: Sequence[Generator]
 ) -> BuildReport:
     output = Path(plan.output)
-    (root,) = load_built(plan)
-    files = write_index(plan, root, key, generators)
+    if plan.parameters.is_streamed_sog:
+        units = load_units(plan)
+        files = write_streamed_index(plan, units)
+        write_record(plan, key, plan.count, files)
+        tile_count = sum(len(unit["leaves"]) for unit in units)
+        quality_bytes: tuple[int, ...] = ()
+    else:
+        (root,) = load_built(plan)
+        files = write_index(plan, root, key, generators)
+        tile_count = sum(1 for _ in walk(root)) + len(generators)
+        sizes = ([content.size for content in tile.contents] for tile in walk(root))
+        quality_bytes = tuple(map(sum, zip(*sizes, strict=True)))
     remove_stale(output, files)
     shutil.rmtree(output / WORK_FOLDER)
     sweep(output)
@@ -265,13 +295,10 @@ def _write_build_report(
         key=key,
         splats=plan.count + sum(len(generator.first_frame) for generator in generators),
         skipped=skipped,
-        tiles=sum(1 for _ in walk(root)) + len(generators),
+        tiles=tile_count,
         files=len(files) + 1,
         bytes=sum(size for size, _ in files.values()),
-        quality_bytes=tuple(
-            sum(sizes)
-            for sizes in zip(*([c.size for c in tile.contents] for tile in walk(root)), strict=True)
-        ),
+        quality_bytes=quality_bytes,
     )
 
 
@@ -386,13 +413,12 @@ def _plan(
     cube = Cube.enclosing(low, np.max([chunk_facts.high for chunk_facts in nonempty_facts], axis=0))
     degree = max(file.degree for file in files)
     limit = min(partition, _PARTITION_BYTES // row_dtype(degree).itemsize)
-    cells, counts = _count_cells(
-        run, chunks, cube, limit, work, is_anchored=not parameters.implicit
-    )
     max_grouped_splats = 0 if parameters.implicit else parameters.leaf
-    partitions, top = make_partitions(
-        cells, counts, max(limit, parameters.leaf), max_grouped_splats
-    )
+    if parameters.is_streamed_sog:
+        max_grouped_splats = UNIT_SPLATS
+    limit = max(limit, parameters.leaf, max_grouped_splats)
+    cells, counts = _count_cells(run, chunks, cube, limit, work, is_anchored=parameters.is_anchored)
+    partitions, top = make_partitions(cells, counts, limit, max_grouped_splats)
     return Plan(
         cube=cube,
         degree=degree,

@@ -1,6 +1,6 @@
 """Writes the tiles of a part of the octree, leaves first, and the tiles above all parts."""
 
-__all__ = ["build_partition", "build_top_levels", "load_built"]
+__all__ = ["build_partition", "build_top_levels", "load_built", "load_units"]
 
 from pathlib import Path
 
@@ -13,7 +13,9 @@ from gsgen.formats.merging.morton import DEPTH, cell_codes, morton_codes
 from gsgen.tiles.build.files import read_json, save_array, write_json
 from gsgen.tiles.build.plan import Partition, Plan, depth_of, group_small_octants
 from gsgen.tiles.build.spill import Rows, anchors_of, load_partition
+from gsgen.tiles.build.streamed_sog import write_units
 from gsgen.tiles.build.tile import Tile, tile_from_json, write_leaf, write_level
+from gsgen.tiles.format.json_values import JsonDict
 
 BuiltTiles = tuple[list[Tile], Mixture]
 """Tiles that stand side by side, and what they show."""
@@ -29,6 +31,10 @@ def build_partition(plan: Plan, partition: Partition) -> int:
     order = np.argsort(codes, kind="stable")  # rows are in the order of the scenes already
     rows, codes = rows[order], codes[order]
     location = partition.locations[0]
+    if plan.parameters.is_streamed_sog:
+        units = write_units(plan, rows, codes, depth_of(location))
+        write_json(_marker_file(plan, name), units)
+        return partition.count
     if partition.is_anchored:
         built_tiles = _write_large_splats(plan, rows, codes, location)
     elif len(partition.locations) > 1:
@@ -145,6 +151,12 @@ def load_built(plan: Plan) -> list[Tile]:
     """Return the tiles at the octree's root; call this when all partitions are built."""
     name = f"top-{plan.top[-1]}" if plan.top else "partition-000000"
     return _load_tiles(plan, name)
+
+
+def load_units(plan: Plan) -> list[JsonDict]:
+    """Return the units of a streamed SOG; call this when all partitions are built."""
+    names = [f"partition-{partition.index:06}" for partition in plan.partitions]
+    return [unit for name in names for unit in read_json(_marker_file(plan, name))]
 
 
 def _marker_file(plan: Plan, name: str) -> Path:

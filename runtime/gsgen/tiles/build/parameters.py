@@ -12,7 +12,7 @@ from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.json_values import JsonDict
 
-ALGORITHM_VERSION: Final = 4
+ALGORITHM_VERSION: Final = 5
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""
 
 
@@ -30,6 +30,7 @@ class BuildParameters:
     Attributes:
         leaf: Most splats of a leaf.
         codec: How contents are written.
+        is_streamed_sog: Whether a streamed SOG is written in place of a tileset.
         qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.SPZ_QUALITIES` that are written, finest
             first.
         implicit: Whether the tree is an implicit octree; None for scenes of about 2,000 tiles or
@@ -43,11 +44,17 @@ class BuildParameters:
 
     leaf: int = 8_192
     codec: CodecName = "spz"
+    is_streamed_sog: bool = False
     qualities: tuple[int, ...] = (0, 2, 4)
     implicit: bool | None = None
     transform: tuple[float, ...]
     turn_upright: bool = False
     origin: Origin | None = None
+
+    @property
+    def is_anchored(self) -> bool:
+        """Whether large splats become leaves of their own, above the cells of small ones."""
+        return not (self.implicit or self.is_streamed_sog)
 
     def is_implicit(self, splats: int) -> bool:
         """Return whether the tree of a scene of some splats is an implicit octree."""

@@ -11,21 +11,28 @@ __all__ = [
     "coordinates_of",
     "depth_of",
     "group_small_octants",
+    "load_plan",
     "make_partitions",
+    "octree_runs",
     "partition_of",
+    "save_plan",
 ]
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Int64, UInt64
 
-from gsgen.formats.merging.morton import Cube
+from gsgen.formats.merging.morton import DEPTH, Cube, cell_codes
+from gsgen.formats.ply.chunks import PlyTable
+from gsgen.tiles.build.files import read_json, write_json
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.scan import location_codes
-from gsgen.tiles.build.source import Chunk
+from gsgen.tiles.build.source import Chunk, SceneFile
 
 
 @final
@@ -178,6 +185,28 @@ def group_small_octants(counts: Sequence[int], limit: int) -> list[list[int]]:
     return groups
 
 
+def octree_runs(codes: UInt64[np.ndarray, " n"], depth: int, most: int) -> Iterator[slice]:
+    """Yield the rows of octree cells of at most ``most`` splats; small neighbours are one run.
+
+    Args:
+        codes: Sorted Morton codes of the splats of one cell.
+        depth: Of the cell.
+        most: A cell that cannot be divided may have more.
+    """
+    if len(codes) <= most or depth == DEPTH:
+        yield slice(0, len(codes))
+        return
+    _, counts = np.unique(cell_codes(codes, depth + 1), return_counts=True)
+    limits = np.concatenate([[0], np.cumsum(counts)])
+    for group in group_small_octants(counts.tolist(), most):
+        first, last = int(limits[group[0]]), int(limits[group[-1] + 1])
+        if len(group) > 1:
+            yield slice(first, last)
+            continue
+        for run in octree_runs(codes[first:last], depth + 1, most):
+            yield slice(first + run.start, first + run.stop)
+
+
 def partition_of(
     codes: UInt64[np.ndarray, " n"],
     anchors: Int64[np.ndarray, " n"],
@@ -201,3 +230,50 @@ def partition_of(
         is_known_cell &= anchors == depth if is_anchored else anchors >= depth
         result[is_known_cell] = index[slot[is_known_cell]]
     return result
+
+
+def save_plan(plan: Plan, path: Path) -> None:
+    """Write the plan of a tileset build to a file."""
+    content = asdict(plan)
+    content["files"] = [asdict(file) for file in _files(plan)]
+    for chunk in content["chunks"]:
+        chunk["file"] = next(
+            index
+            for index, file in enumerate(content["files"])
+            if file["path"] == chunk["file"]["path"]
+        )
+    write_json(path, content)
+
+
+def _files(plan: Plan) -> list[SceneFile]:
+    return list({chunk.file.path: chunk.file for chunk in plan.chunks}.values())
+
+
+@lru_cache(maxsize=2)
+def load_plan(path: str) -> Plan:
+    """Return the plan of a tileset build from a file, which each process reads once."""
+    content = read_json(Path(path))
+    files = [_file(item) for item in content.pop("files")]
+    chunks = tuple(Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"])
+    parameters = content["parameters"]
+    parameters["qualities"] = tuple(parameters["qualities"])
+    parameters["transform"] = tuple(parameters["transform"])
+    parameters["origin"] = parameters["origin"] and tuple(parameters["origin"])
+    content |= {
+        "chunks": chunks,
+        "cube": Cube(tuple(content["cube"]["low"]), content["cube"]["side"]),
+        "parameters": BuildParameters(**parameters),
+        "partitions": tuple(
+            Partition(**{**item, "locations": tuple(item["locations"])})
+            for item in content["partitions"]
+        ),
+        "top": tuple(content["top"]),
+    }
+    return Plan(**content)
+
+
+def _file(item: Mapping[str, Any]) -> SceneFile:
+    table = item["table"]
+    if table is not None:
+        table = PlyTable(**{**table, "columns": tuple(table["columns"])})
+    return SceneFile(**{**item, "table": table, "origin": tuple(item["origin"])})

@@ -48,7 +48,7 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
 
 def anchors_of(plan: Plan, rows: Rows) -> np.ndarray:
     """Return each splat's deepest octree level; in implicit octrees, the tree's deepest level."""
-    if plan.parameters.implicit:
+    if not plan.parameters.is_anchored:
         return np.full(len(rows), DEPTH, np.int64)
     return anchor_depths(rows["log_scale"], plan.cube)
 

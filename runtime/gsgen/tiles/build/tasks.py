@@ -24,7 +24,7 @@ from jaxtyping import Int64, UInt64
 from gsgen.formats.merging.morton import Cube
 from gsgen.tiles.build.files import read_json, save_array, write_json
 from gsgen.tiles.build.octree import build_partition, build_top_levels
-from gsgen.tiles.build.plan_file import load_plan
+from gsgen.tiles.build.plan import load_plan
 from gsgen.tiles.build.scan import ChunkFacts, count_cells, scan_chunk
 from gsgen.tiles.build.source import Chunk
 from gsgen.tiles.build.spill import bin_chunk

@@ -1,6 +1,6 @@
 """Writes the content files of a tile, and describes the written tile."""
 
-__all__ = ["Content", "Tile", "tile_from_json", "write_leaf", "write_level"]
+__all__ = ["Content", "Tile", "leaf_splats", "tile_from_json", "write_leaf", "write_level"]
 
 import hashlib
 from collections.abc import Mapping
@@ -88,17 +88,12 @@ def _point_tuple(values: list[float]) -> tuple[float, float, float]:
     return cast(tuple[float, float, float], tuple(values))
 
 
-def _leaf_splats(rows: Rows) -> Splats:
-    position, rotation, log_scale, logit_opacity, sh = (
-        np.ascontiguousarray(rows[name])
-        for name in ("position", "rotation", "log_scale", "logit_opacity", "sh")
-    )
+def leaf_splats(plan: Plan, rows: Rows) -> Splats:
+    """Return rows of a partition as splats, with the flags of the scenes."""
+    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    arguments: JsonDict = {name: np.ascontiguousarray(rows[name]) for name in names}
     return Splats(
-        position=position,
-        rotation=rotation,
-        log_scale=log_scale,
-        logit_opacity=logit_opacity,
-        sh=sh,
+        **arguments, antialiased=plan.antialiased, color_space=cast(Any, plan.color_space)
     )
 
 
@@ -106,7 +101,7 @@ def write_leaf(
     plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int, extra: int = 0
 ) -> tuple[Tile, Mixture]:
     """Write a leaf tile's splats as content files; return the tile, and Gaussians to merge."""
-    splats = _leaf_splats(rows)
+    splats = leaf_splats(plan, rows)
     tile = _write(plan, splats, location, extra=extra, cell=0.0)
     return tile, mixture_of(splats, codes)
 

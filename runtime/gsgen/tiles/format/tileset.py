@@ -50,11 +50,13 @@ class Content:
         uri: Relative to the tileset's folder.
         volume: Of the content alone; None where only the tile has one.
         location: Where the uri stands.
+        rows: Of a SOG file that are the content; None for a glTF file.
     """
 
     uri: str
     volume: Volume | None
     location: str
+    rows: slice | None = None
 
 
 @final

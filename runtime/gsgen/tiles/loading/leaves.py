@@ -28,6 +28,7 @@ from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
 from gsgen.tiles.gltf.decoding import decode_content
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed, place
+from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -43,6 +44,9 @@ def read_tile_content(
         StoreUnavailable: It cannot be read now.
     """
     store = store.for_one_tile()
+    if content.rows is not None:
+        splats = SogFiles().read(content, lambda file, limit: store.read(file, limit=limit))
+        return place_content(tileset, tile, content, splats)
     data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
     return place_content(tileset, tile, content, open_tile_content(store, content, data))
 
@@ -58,12 +62,16 @@ def open_tile_content(store: Store, content: Content, data: bytes) -> Container:
 
 
 def place_content(
-    tileset: Tileset, tile: Tile, content: Content, container: Container
+    tileset: Tileset, tile: Tile, content: Content, opened: Container | Splats
 ) -> list[PlacedSplats]:
     """Decode the splats of a tile's content, in the frame of the root tile."""
+    if isinstance(opened, Splats):  # rows of a SOG file
+        parts = [(opened, np.eye(4))]
+    else:
+        parts = decode_content(opened, content.uri)
     return [
         place(splats, tile.transform @ tileset.content_axes @ matrix)
-        for splats, matrix in decode_content(container, content.uri)
+        for splats, matrix in parts
         if len(splats)
     ]
 

@@ -29,6 +29,7 @@ from gsgen.tiles.format.uris import is_external, resolve_uri
 from gsgen.tiles.format.volumes import read_volume
 from gsgen.tiles.loading.documents import Document, DocumentReader
 from gsgen.tiles.loading.limits import Limits, LoadReport, StrictReport
+from gsgen.tiles.loading.streamed_sog import is_streamed_sog, load_streamed_sog
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 
@@ -64,7 +65,7 @@ def load_tileset(
 
     Args:
         store: Where its files lie.
-        index: Path of ``tileset.json``.
+        index: Path of ``tileset.json``, or of the ``lod-meta.json`` of a streamed SOG.
         limits: How much is read.
         report: Receives the faults; without it, the first one is raised.
         name: Name of the tileset in messages.
@@ -73,6 +74,8 @@ def load_tileset(
         TilesetInvalid: The index cannot be read at all, or something in it and ``report``
             raises.
     """
+    if is_streamed_sog(index):
+        return load_streamed_sog(store, index, limits or Limits(), name or store.name)
     loader = _Loader(store, limits or Limits(), report or StrictReport())
     return loader.tileset(index, name or store.name)
 

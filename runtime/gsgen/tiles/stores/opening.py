@@ -18,11 +18,16 @@ from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import ZipStore
 
 _TILESET_KINDS: Final = ("tileset", "json")
+_STREAMED_KINDS: Final = ("streamed-sog",)
 _CONTENT_KINDS: Final = ("glb", "glb-splats", "gltf", "gltf-splats")
 
 
 def open_store(
-    source: str | Path, *, allow_origins: Sequence[str] = (), allow_content: bool = False
+    source: str | Path,
+    *,
+    allow_origins: Sequence[str] = (),
+    allow_content: bool = False,
+    allow_streamed: bool = True,
 ) -> tuple[Store, str]:
     """Return the file store of a tileset, and the path of ``tileset.json`` in the store.
 
@@ -31,6 +36,7 @@ def open_store(
             (http, https) of a ``tileset.json`` or a ``.3tz`` archive.
         allow_origins: Other origins that redirects of a server may lead to.
         allow_content: Whether a file may be the content of a tile.
+        allow_streamed: Whether it may be the ``lod-meta.json`` of a streamed SOG.
 
     Raises:
         TilesetInvalid: The file is of another kind, which the error names.
@@ -48,13 +54,17 @@ def open_store(
     if path.is_dir():
         return FolderStore(path), INDEX_FILE
     if path.is_file():
-        _refuse_other_kind(path, allow_content=allow_content)
+        _refuse_other_kind(path, allow_content=allow_content, allow_streamed=allow_streamed)
     return FolderStore(path.parent), path.name
 
 
-def _refuse_other_kind(path: Path, *, allow_content: bool) -> None:
+def _refuse_other_kind(path: Path, *, allow_content: bool, allow_streamed: bool) -> None:
     kind = kind_of_file(path)
-    known_names = (*_TILESET_KINDS, *(_CONTENT_KINDS if allow_content else ()))
+    known_names = (
+        *_TILESET_KINDS,
+        *(_CONTENT_KINDS if allow_content else ()),
+        *(_STREAMED_KINDS if allow_streamed else ()),
+    )
     if kind is not None and kind.name not in known_names:
         raise TilesetInvalid(
             f"this is {kind.title}", location=str(path), expected="a tileset", hint=kind.hint

@@ -12,6 +12,7 @@ import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.formats.glb.container import Container
+from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.gpu.morton_order import morton_sorted_indices
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import ContentMissing, Fault, StoreUnavailable, TilesetInvalid
@@ -22,6 +23,7 @@ from gsgen.tiles.gltf.placement import join_placed
 from gsgen.tiles.loading.leaves import open_tile_content, place_content
 from gsgen.tiles.loading.neural_model import MAX_MODEL
 from gsgen.tiles.loading.quality_ladder import TileQualities
+from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
@@ -56,11 +58,12 @@ class ContentReader:
         ] = {}  # tile → quality of the files that were read last
         self._store, self._tileset, self._tree = store, tileset, tree
         self._disk_cache = cache if isinstance(store, HttpStore) else None
+        self._sog_files = SogFiles()
         degree = tileset.metadata.get("sh_degree")
         known = isinstance(degree, int) and 0 <= degree <= MAX_DEGREE
         self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
 
-    def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[Container]:
+    def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> "list[Container | Splats]":
         """Read the content files of a tile, with the buffers that they name.
 
         Args:
@@ -71,11 +74,15 @@ class ContentReader:
             TilesetInvalid: A file is missing, or cannot be read.
         """
         store, size = self._store.for_one_tile(), 0
-        containers: list[Container] = []
+        containers: list[Container | Splats] = []
         if self._tile_qualities:
             self._fetched_quality[tile] = self._tile_qualities.next_quality(tile)
         for content in self._tile_entry(tile).contents:
             report = partial(_report_total_bytes, on_bytes, size)
+            if content.rows is not None:
+                with self._full_locations():
+                    containers.append(self._sog_files.read(content, partial(_read, store)))
+                continue
             data = self._file(store, content.uri, report)
             size += len(data)
             with self._full_locations():
@@ -115,7 +122,7 @@ class ContentReader:
                 self._disk_cache.put(store.name, uri, data, digest)
         return data
 
-    def decode(self, tile: int, files: list[Container]) -> TileArrival:
+    def decode(self, tile: int, files: "list[Container | Splats]") -> TileArrival:
         """Decode the content files of a tile into packed Gaussians.
 
         Raises:
@@ -182,6 +189,10 @@ class ContentReader:
     def _full_location(self, location: str) -> str:
         """Prefix a location in a file with the web address, if the file is on a web server."""
         return f"{self._store.name}/{location}" if isinstance(self._store, HttpStore) else location
+
+
+def _read(store: Store, file: str, limit: int) -> bytes:
+    return store.read(file, limit=limit)
 
 
 def _report_total_bytes(on_bytes: Callable[[int], None], bytes_before: int, count: int) -> None:

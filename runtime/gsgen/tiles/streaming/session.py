@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float64, Int64
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.origins import Origin
-from gsgen.formats.shared.splats import NO_ORIGIN
+from gsgen.formats.shared.splats import NO_ORIGIN, Splats
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
 from gsgen.tiles.loading.quality_ladder import TileQualities, quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
@@ -132,7 +132,7 @@ def open_session(
         if qualities:
             tree = replace(tree, size=qualities.coarsest_size.copy())
         reader = ContentReader(store, tileset, tree, cache, qualities=qualities)
-        link: FetchLink[list[Container], TileArrival] = FetchLink(
+        link: FetchLink[list[Container | Splats], TileArrival] = FetchLink(
             reader.fetch, reader.decode, reader.size, options.connections
         )
         return TilesetSession(

@@ -56,7 +56,7 @@ def validate(
     progress(f"reading {path.name}")
     registry = registry.of_scope(tilesets=True)
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET
-    store, index = open_store(path, allow_content=kind == TILE_CONTENT)
+    store, index = open_store(path, allow_content=kind == TILE_CONTENT, allow_streamed=False)
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
         results = ResultCollector(registry=registry, settings=settings, kind=kind)

@@ -1,15 +1,15 @@
 """Reduces splats to at most a given number, by merging as for a tileset's coarse levels."""
 
-__all__ = ["decimate"]
+__all__ = ["decimate", "decimate_measured"]
 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from gsgen.formats.merging.levels import stored_degree
 from gsgen.formats.merging.mixture import Mixture
-from gsgen.formats.merging.moments import merge_clusters
+from gsgen.formats.merging.moments import cell_scatter, merge_clusters, squared_shift
 from gsgen.formats.merging.morton import DEPTH, Cube, morton_codes, separation_depths
 from gsgen.formats.merging.splat_mixtures import mixture_of, splats_of
 from gsgen.formats.shared.splats import Splats
@@ -21,23 +21,24 @@ def decimate(splats: Splats, count: int) -> Splats:
     Cells of one depth of an octree are as many as may be; of these, the ones whose splats spread
     most, weighted by mass, are split into their eight parts for as long as ``count`` allows.
     """
+    return decimate_measured(splats, count)[0]
+
+
+def decimate_measured(splats: Splats, count: int) -> tuple[Splats, float]:
+    """Return the splats of :func:`decimate`, and the :func:`squared_shift` of merging them."""
     if count >= len(splats):
-        return splats
+        return splats, 0.0
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
     cube = Cube.enclosing(low.astype(np.float64), high.astype(np.float64))
     codes = morton_codes(splats.position, cube)
     mixture = mixture_of(splats, codes)
     mixture = mixture.rows(np.argsort(codes, kind="stable"))
-    merged_mixture = merge_clusters(mixture, _cluster_starts(mixture, count))
+    starts = _cluster_starts(mixture, count)
+    merged_mixture = merge_clusters(mixture, starts)
     result = splats_of(merged_mixture, stored_degree(merged_mixture))
-    return replace(
-        splats,
-        position=result.position,
-        rotation=result.rotation,
-        log_scale=result.log_scale,
-        logit_opacity=result.logit_opacity,
-        sh=result.sh,
-    )
+    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    merged = replace(splats, **{name: getattr(result, name) for name in names})
+    return merged, squared_shift(mixture, starts)
 
 
 def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
@@ -51,21 +52,10 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
         return np.flatnonzero(cluster_start_mask)
     cell = np.cumsum(cluster_start_mask) - 1
     parts = np.bincount(cell[separation == depth + 1], minlength=int(cell[-1]) + 1)
-    order = np.argsort(-_cell_scatter(mixture, cell), kind="stable")
+    order = np.argsort(-cell_scatter(mixture, cell), kind="stable")
     order = order[parts[order] > 0]
     is_split = np.zeros(len(parts), bool)
     is_split[
         order[: int(np.searchsorted(np.cumsum(parts[order]), count - len(parts), "right"))]
     ] = 1
     return np.flatnonzero(cluster_start_mask | ((separation == depth + 1) & is_split[cell]))
-
-
-def _cell_scatter(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
-    """Return each octree cell's sum of mass × squared distance from the mean, over its splats."""
-    mass = mixture.mass
-    total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)
-    result = np.zeros(len(total))
-    for column in (mixture.mean - mixture.mean[0]).T:
-        mean = np.bincount(cell, mass * column) / total
-        result += np.bincount(cell, mass * np.square(column - mean[cell]))
-    return result

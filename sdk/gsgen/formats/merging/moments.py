@@ -24,8 +24,10 @@ __all__ = [
     "COVARIANCE_WIDENING_FACTOR",
     "MAX_OPACITY",
     "MAX_SPREAD_SIGMAS",
+    "cell_scatter",
     "ellipsoids",
     "merge_clusters",
+    "squared_shift",
 ]
 
 from typing import Final
@@ -108,6 +110,30 @@ def merge_clusters(
         opacity=opacity,
         sh=sh.reshape(len(first), *mixture.sh.shape[1:]),
     )
+
+
+def squared_shift(mixture: Mixture, starts: Int64[np.ndarray, " m"]) -> float:
+    """Return how far merging moves Gaussians: the mean of |μᵢ − μ*|² by mass, in scene units².
+
+    Args:
+        mixture: The Gaussians.
+        starts: First row of each cluster, increasing from 0.
+    """
+    total = float(mixture.mass.sum())
+    sizes = np.diff(starts, append=len(mixture))
+    scatter = cell_scatter(mixture, np.repeat(np.arange(len(starts)), sizes))
+    return float(scatter.sum()) / total if total else 0.0
+
+
+def cell_scatter(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
+    """Return each cluster's sum of mass × squared distance from the mean, over its splats."""
+    mass = mixture.mass
+    total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)
+    result = np.zeros(len(total))
+    for column in (mixture.mean - mixture.mean[0]).T:
+        mean = np.bincount(cell, mass * column) / total
+        result += np.bincount(cell, mass * np.square(column - mean[cell]))
+    return result
 
 
 def _group_means(

@@ -3,6 +3,7 @@
 The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow reads the images.
 """
 
+import io
 import math
 import zipfile
 from collections.abc import Callable
@@ -40,7 +41,7 @@ from gsgen.formats.sog.meta import (
 )
 from gsgen.formats.sog.streamed import STREAMED_KEYS, is_streamed, read_levels
 
-__all__ = ["read_sog"]
+__all__ = ["decode_sog", "read_sog"]
 
 MAX_META: Final = 1 << 22
 _MAX_PIXELS_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
@@ -75,6 +76,33 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES, drop_invalid: bool =
         splats, unused = _read(path, max_bytes)
         warn_unused(path, list(dict.fromkeys(unused)))
         return drawable(splats, path, drop_invalid=drop_invalid)
+
+
+def decode_sog(name: str, fetch: FetchFile, *, max_bytes: int = MAX_BYTES) -> Splats:
+    """Decode a SOG whose files come from elsewhere than a folder: a zip archive, or a meta.json.
+
+    Args:
+        name: Of the file.
+        fetch: Returns the content of it, and of the images that it names.
+        max_bytes: The limit of the memory of all splats, in bytes.
+
+    Raises:
+        FormatError: As for :func:`read_sog`.
+    """
+    content = fetch(name, max_bytes)
+
+    def fetch_next(file: str, limit: int) -> bytes:
+        return content if file == name else fetch(file, limit)
+
+    with naming(name), np.errstate(all="ignore"):
+        if content.startswith(ZIP_MAGIC):
+            with unpacking("archive"), zipfile.ZipFile(io.BytesIO(content)) as archive:
+                splats, _ = _decode(
+                    _fetch_from_archive(archive, len(content)), META_FILE, max_bytes
+                )
+        else:
+            splats, _ = _decode(fetch_next, name, max_bytes)
+        return drawable(splats, name, drop_invalid=False)
 
 
 def _read(path: FilePath, max_bytes: int) -> tuple[Splats, list[str]]:

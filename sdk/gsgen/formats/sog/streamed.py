@@ -6,8 +6,9 @@ of the tree names the rows of a file for each level of detail; level 0 is the fi
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -40,6 +41,76 @@ def is_streamed(data: dict[str, Any]) -> bool:
     return "lodLevels" in data or "tree" in data
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class LevelRows:
+    """The rows of a SOG file that are a leaf at one level of detail."""
+
+    file: int
+    offset: int
+    count: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamedLeaf:
+    """A leaf of a streamed SOG's tree.
+
+    Attributes:
+        levels: Level → its rows, finest level first; at least one.
+        bound: The lists ``min`` and ``max`` as the file has them.
+        errors: The relative error of each level as the file has it: squared differences of
+            pictures over their squares, 0 for the finest; None where it is not told.
+    """
+
+    levels: dict[int, LevelRows]
+    bound: object
+    errors: object
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamedTree:
+    """The files and leaves of a streamed SOG; names are relative to the folder of its JSON.
+
+    Attributes:
+        files: The SOG files.
+        leaves: Of the tree, depth first.
+        environment: The SOG file that is always drawn; None for none.
+    """
+
+    files: tuple[str, ...]
+    leaves: tuple[StreamedLeaf, ...]
+    environment: str | None
+
+
+def read_tree(data: dict[str, Any]) -> StreamedTree:
+    """Return the files and leaves that a parsed lod-meta.json names.
+
+    Raises:
+        HeaderMalformed: The tree breaks the rules of the format.
+    """
+    names = data.get("filenames")
+    if not isinstance(names, list) or not all(_is_inside(name) for name in names):
+        raise HeaderMalformed(
+            quoted(str(names)),
+            where=f"{STREAMED_META}, filenames",
+            expected="names below its folder",
+        )
+    environment = data.get("environment")
+    if environment is not None and not _is_inside(environment):
+        raise HeaderMalformed(quoted(str(environment)), where=f"{STREAMED_META}, environment")
+    leaves = tuple(
+        StreamedLeaf(
+            levels=_levels(node.get("lods"), len(names)),
+            bound=node.get("bound"),
+            errors=node.get("errors"),
+        )
+        for node in _leaves(data.get("tree"))
+    )
+    return StreamedTree(files=tuple(names), leaves=leaves, environment=environment)
+
+
 def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_bytes: int) -> Splats:
     """Return the splats of a streamed SOG at the finest level of detail.
 
@@ -52,17 +123,12 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         HeaderMalformed: The tree breaks the rules of the format.
         SizeExceeded: The splats need more than ``max_bytes``.
     """
-    names = data.get("filenames")
-    if not isinstance(names, list) or not all(_is_inside(name) for name in names):
-        raise HeaderMalformed(
-            quoted(str(names)),
-            where=f"{STREAMED_META}, filenames",
-            expected="names below its folder",
-        )
+    tree = read_tree(data)
+    names = tree.files
     ranges: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    for leaf in _leaves(data.get("tree")):
-        index, offset, count = _finest_leaf_range(leaf, len(names))
-        ranges[index].append((offset, count))
+    for leaf in tree.leaves:
+        finest = next(iter(leaf.levels.values()))
+        ranges[finest.file].append((finest.offset, finest.count))
     parts: list[Splats] = []
     for index in sorted(ranges):
         used_bytes = sum(_splat_bytes(part) for part in parts)
@@ -83,11 +149,8 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
                 expected="each splat once",
             )
         parts.append(splats[selected])
-    environment = data.get("environment")
-    if environment is not None:
-        if not _is_inside(environment):
-            raise HeaderMalformed(quoted(str(environment)), where=f"{STREAMED_META}, environment")
-        parts.append(read(environment, max_bytes - sum(_splat_bytes(part) for part in parts)))
+    if tree.environment is not None:
+        parts.append(read(tree.environment, max_bytes - sum(_splat_bytes(part) for part in parts)))
     if sum(_splat_bytes(part) for part in parts) > max_bytes:
         raise SizeExceeded(
             "the splats of all files take more memory than allowed",
@@ -131,26 +194,26 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
             yield node
 
 
-def _finest_leaf_range(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
-    """Return file index, first row and row count of the finest level of a streamed SOG's leaf."""
-    levels = leaf.get("lods")
-    numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []
-    entry = levels[min(numbers, key=int)] if isinstance(levels, dict) and numbers else None
-    values: list[int] = []
-    if isinstance(entry, dict):
-        members = [entry.get(key) for key in ("file", "offset", "count")]
-        values = [value for value in members if type(value) is int and value >= 0]
-    if len(values) != 3:
+def _levels(lods: object, files: int) -> dict[int, LevelRows]:
+    """Return the rows of each level of a leaf, finest level first; levels without rows are left out."""
+    levels: dict[int, LevelRows] = {}
+    entries = lods if isinstance(lods, dict) else {}
+    for key in sorted(filter(str.isdecimal, entries), key=int):
+        entry = entries[key]
+        values: list[int] = []
+        if isinstance(entry, dict):
+            members = [entry.get(name) for name in ("file", "offset", "count")]
+            values = [value for value in members if type(value) is int and value >= 0]
+        if len(values) != 3 or values[0] >= files or sum(values[1:]) >= 1 << 31:
+            raise HeaderMalformed(
+                quoted(str(entry)),
+                where=f"{STREAMED_META}, lods",
+                expected=f"file, offset and count of a level, in one of {files} files",
+            )
+        if values[2]:
+            levels[int(key)] = LevelRows(*values)
+    if not levels:
         raise HeaderMalformed(
-            quoted(str(levels)),
-            where=f"{STREAMED_META}, lods",
-            expected="file, offset and count of a level",
+            quoted(str(lods)), where=f"{STREAMED_META}, lods", expected="a level with rows"
         )
-    index, offset, count = values
-    if index >= files or count < 1 or offset + count >= 1 << 31:
-        raise HeaderMalformed(
-            quoted(str(entry)),
-            where=f"{STREAMED_META}, lods",
-            expected=f"one of {files} files, and rows",
-        )
-    return index, offset, count
+    return levels

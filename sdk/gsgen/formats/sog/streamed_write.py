@@ -2,10 +2,11 @@
 
 The format is that of PlayCanvas (playcanvas/splat-transform, "Streamed SOG", version 1). Splats lie
 in Morton order, so that each leaf of the tree is a range of them; its coarser levels are the same
-splats, merged.
+splats, merged. The error of a level is the square of its geometric error (see `geometric_error`) in
+units of the leaf's diagonal: a reader takes it for the relative squared error of a picture.
 """
 
-__all__ = ["Chunks", "write_levels"]
+__all__ = ["Chunks", "LeafNode", "level_files", "streamed_document", "write_levels"]
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -47,12 +48,44 @@ class Chunks:
     leaf_size: float = 16.0
 
 
+@final
 @dataclass(slots=True)
-class _LeafNode:
-    """A leaf of the tree: its entry in lod-meta.json, and a range of Morton-sorted splats."""
+class LeafNode:
+    """A leaf of the tree: its entry in lod-meta.json, and its splats at a level of detail.
+
+    Attributes:
+        node: The entry: bound, rows and error of each level.
+        splats: Of the level that was written last; first those of the scene, in Morton order.
+        squared_shift: How far merging has moved them, in scene units².
+    """
 
     node: dict[str, Any]
     splats: Splats
+    squared_shift: float = 0.0
+
+    @classmethod
+    def of_splats(cls, splats: Splats) -> "LeafNode":
+        """Return the leaf of some splats, without levels."""
+        return cls({"bound": _bound(splats), "errors": [], "lods": {}}, splats)
+
+    def merge(self) -> None:
+        """Replace the splats by those of the next coarser level."""
+        from gsgen.formats.merging.decimation import decimate_measured
+
+        count = max(1, len(self.splats) // _SPLAT_RATIO_OF_LEVELS)
+        self.splats, squared_shift = decimate_measured(self.splats, count)
+        self.squared_shift += squared_shift
+
+    def add_level(self, level: int, file: int, offset: int) -> None:
+        """Record that the splats are rows of a file from ``offset`` on."""
+        from gsgen.formats.merging.levels import geometric_error
+
+        low, high = (np.array(self.node["bound"][key]) for key in ("min", "max"))
+        diagonal = float(np.linalg.norm(high - low))
+        share = geometric_error(self.squared_shift) / diagonal if diagonal else 0.0
+        self.node["errors"].append(float(f"{share**2:.7g}"))
+        rows = {"file": file, "offset": offset, "count": len(self.splats)}
+        self.node["lods"][str(level)] = rows
 
 
 def write_levels(
@@ -74,23 +107,33 @@ def write_levels(
     Raises:
         FileUnwritable: A file cannot be written.
     """
-    leaves: list[_LeafNode] = []
+    leaves: list[LeafNode] = []
     root = _node(splats, codes, _TOP_BIT, chunks, leaves)
     names: list[str] = []
     counts: list[int] = []
     for level in range(chunks.levels):
         counts.append(0)
-        for index, members in enumerate(_files(leaves, level, chunks.file_rows)):
-            offset = 0
-            for leaf, part in members:
-                entry = {"file": len(names), "offset": offset, "count": len(part)}
-                leaf.node["lods"][str(level)] = entry
-                offset += len(part)
+        for index, splats in enumerate(level_files(leaves, level, len(names), chunks.file_rows)):
             names.append(f"{level}_{index}/{META_FILE}")
             file = Path(path).parent / names[-1]
             make_folder(file)
-            write(file, join_splats([part for _, part in members]))
-            counts[-1] += offset
+            write(file, splats)
+            counts[-1] += len(splats)
+    with replace_file(path) as stream:
+        stream.write(streamed_document(root, names, counts, chunks))
+
+
+def streamed_document(
+    root: dict[str, Any], names: list[str], counts: list[int], chunks: Chunks
+) -> bytes:
+    """Return a lod-meta.json.
+
+    Args:
+        root: The tree.
+        names: The SOG files, relative to its folder.
+        counts: Splats of each level.
+        chunks: Levels and sizes.
+    """
     document = {
         "version": 1,
         "asset": {
@@ -102,11 +145,11 @@ def write_levels(
         "count": sum(counts),
         "counts": counts,
         "lodLevels": chunks.levels,
+        "lodErrors": True,
         "filenames": names,
         "tree": root,
     }
-    with replace_file(path) as stream:
-        stream.write(json.dumps(document, separators=(",", ":")).encode())
+    return json.dumps(document, separators=(",", ":")).encode()
 
 
 def _node(
@@ -114,7 +157,7 @@ def _node(
     codes: UInt64[np.ndarray, " n"],
     bit: int,
     chunks: Chunks,
-    leaves: list[_LeafNode],
+    leaves: list[LeafNode],
 ) -> dict[str, Any]:
     """Return the tree's node of Morton-sorted splats; its leaves are appended to ``leaves``."""
     extent = np.ptp(splats.position, axis=0).max()
@@ -126,36 +169,39 @@ def _node(
         # The cells that the next bit separates; a bit that all splats share separates none.
         split_row = int(np.searchsorted(codes >> np.uint64(bit) & np.uint64(1), 1))
         bit -= 1
-    node: dict[str, Any] = {"bound": _bound(splats)}
     if 0 < split_row < len(codes):
         half_slices = (slice(None, split_row), slice(split_row, None))
-        node["children"] = [
+        children = [
             _node(splats[half_slice], codes[half_slice], bit, chunks, leaves)
             for half_slice in half_slices
         ]
-    else:
-        node["lods"] = {}
-        leaves.append(_LeafNode(node, splats))
-    return node
+        return {"bound": _bound(splats), "children": children}
+    leaves.append(LeafNode.of_splats(splats))
+    return leaves[-1].node
 
 
-def _files(
-    leaves: Sequence[_LeafNode], level: int, file_rows: int
-) -> Iterator[list[tuple[_LeafNode, Splats]]]:
-    """Yield the leaves of each file of a level, with their splats at that level."""
-    from gsgen.formats.merging.decimation import decimate
+def level_files(
+    leaves: Sequence[LeafNode], level: int, first_file: int, file_rows: int
+) -> Iterator[Splats]:
+    """Yield the splats of each file of a level, whose rows and errors the leaves record.
 
-    members: list[tuple[_LeafNode, Splats]] = []
-    file_splats = 0
+    Args:
+        leaves: With their splats of the level before; of level 0, of the scene.
+        level: 0 is the finest.
+        first_file: Number of the first file.
+        file_rows: Largest number of splats in a file; a leaf may have more.
+    """
+    file, members, offset = first_file, list[Splats](), 0
     for leaf in leaves:
         if level:
-            leaf.splats = decimate(leaf.splats, max(1, len(leaf.splats) // _SPLAT_RATIO_OF_LEVELS))
-        if members and file_splats + len(leaf.splats) > file_rows:
-            yield members
-            members, file_splats = [], 0
-        members.append((leaf, leaf.splats))
-        file_splats += len(leaf.splats)
-    yield members
+            leaf.merge()
+        if members and offset + len(leaf.splats) > file_rows:
+            yield join_splats(members)
+            file, members, offset = file + 1, [], 0
+        leaf.add_level(level, file, offset)
+        members.append(leaf.splats)
+        offset += len(leaf.splats)
+    yield join_splats(members)
 
 
 def _bound(splats: Splats) -> dict[str, list[float]]:

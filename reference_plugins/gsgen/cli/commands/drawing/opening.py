@@ -22,7 +22,7 @@ from gsgen.cli.output import echo, echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode, InputUnreadable, UnknownName
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
-from gsgen.formats.tileset_paths import names_tileset
+from gsgen.formats.tileset_paths import names_stream, names_tileset
 
 if TYPE_CHECKING:
     from gsgen.contract.process.limits import Limits
@@ -199,7 +199,7 @@ def _shared_budget(
     settings: "StreamSettings | None", paths: "Sequence[Path]"
 ) -> "StreamSettings | None":
     """Return the settings of each tileset of a command: an equal share of the Gaussians."""
-    count = sum(map(names_tileset, paths))
+    count = sum(map(names_stream, paths))
     if settings is None or count < 2:
         return settings
     return replace(settings, max_splats=settings.max_splats // count)

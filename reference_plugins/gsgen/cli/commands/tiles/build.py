@@ -3,6 +3,7 @@
 __all__ = ["build"]
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -39,7 +40,11 @@ _QualityCount = Annotated[
     int, typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3)
 ]
 _Codec = Annotated[
-    Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
+    Literal["spz", "khr", "sog"],
+    typer.Option(
+        help="SPZ version 2, plain float32 attributes, or a streamed SOG: lod-meta.json in place "
+        "of a tileset."
+    ),
 ]
 _ImplicitOption = Annotated[
     bool | None,
@@ -120,13 +125,25 @@ def build(
             where="--neural",
             hint="An implicit tile cannot hold a generator.",
         )
+    if codec == "sog":
+        _refuse_options_of_tilesets(
+            {
+                "--implicit": implicit,
+                "--transform": transform,
+                "--lon": lon,
+                "--lat": lat,
+                "--height": height,
+                "--neural": neural,
+            }
+        )
     parameters = BuildParameters(
         leaf=leaf,
-        codec=codec,
+        codec="spz" if codec == "sog" else codec,
+        is_streamed_sog=codec == "sog",
         qualities=_QUALITIES_BY_COUNT[quality] if codec == "spz" else (0,),
-        implicit=implicit,
+        implicit=False if codec == "sog" else implicit,
         transform=_tileset_transform(transform, lon, lat, height),
-        turn_upright=transform is None,
+        turn_upright=transform is None and codec != "sog",
         origin=parse_origin(origin),
     )
     generators = [open_generator(path) for path in neural or ()]
@@ -152,6 +169,15 @@ def build(
         echo_json({"event": "done", **asdict(report)}, indent=None)
     else:
         echo(_report_text(report))
+
+
+def _refuse_options_of_tilesets(options: Mapping[str, object]) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise ConfigInvalid(
+                "cannot be combined with --codec sog: a streamed SOG is neither placed nor divided so",
+                where=name,
+            )
 
 
 def _print_line(line: str) -> None:
@@ -186,7 +212,6 @@ def _report_text(report: "BuildReport") -> str:
     size = f"{report.bytes / 1e6:,.1f} MB"
     if report.up_to_date:
         return f"{report.output}: up to date, {report.splats:,} splats, {size}"
-    return (
-        f"{report.output}: {report.splats:,} splats in {report.tiles:,} tiles, {size}: "
-        f"{quality_text(report.quality_bytes, report.splats)}"
-    )
+    text = f"{report.output}: {report.splats:,} splats in {report.tiles:,} tiles, {size}"
+    qualities = report.quality_bytes
+    return f"{text}: {quality_text(qualities, report.splats)}" if qualities else text
