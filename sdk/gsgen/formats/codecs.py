@@ -151,7 +151,7 @@ CODECS: Final = (
     Codec(
         name="sog",
         title="SOG",
-        contents="version 2 (1 is read), zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`, which is written with four levels",
+        contents="version 2 (1 is read), zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`, which is written with four levels and errors",
         suffixes=(".sog", META_FILE, STREAMED_META),
         read=read_sog,
         write=write_sog,

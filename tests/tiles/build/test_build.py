@@ -17,6 +17,7 @@ from gsgen.formats import write_ply
 from gsgen.tiles.build.build import WORK_FOLDER, _sole_build, build_tileset
 from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.progress import SilentProgress
+from gsgen.tiles.format.tileset import Tile
 from gsgen.tiles.format.volumes import Box
 from gsgen.tiles.loading.leaves import read_leaves
 from gsgen.tiles.loading.tileset_loader import open_tileset
@@ -59,6 +60,10 @@ def corners(box: Box) -> tuple[np.ndarray, np.ndarray]:
     return box.center - half, box.center + half
 
 
+def max_cell(tile: Tile) -> float:
+    return max(tile.metadata["cell"], *(max_cell(child) for child in tile.children), 0)
+
+
 def test_boxes_contain_children_and_errors_grow_upwards(town):
     tileset = open_tileset(town / "tileset.json")
     pairs = list(tileset.pairs())
@@ -72,7 +77,9 @@ def test_boxes_contain_children_and_errors_grow_upwards(town):
     for tile in tileset.tiles():
         assert (tile.geometric_error == 0) == (not tile.children)
         if tile.children:
-            assert tile.geometric_error >= 4 * tile.metadata["cell"] > 0
+            # Members of a cell of side h are h √3 / 2 from their mean at most, as a root of squares.
+            assert 0 < tile.geometric_error < 11.1 * max_cell(tile)
+            assert tile.metadata["error"][0] >= np.float32(tile.geometric_error)
             assert tile.metadata["splats"] <= 2 * SMALL.leaf
         else:
             assert tile.metadata["splats"] <= SMALL.leaf

@@ -7,7 +7,7 @@ import pytest
 
 from gsgen.contract.spec.geometry import rotation_matrix, symmetric
 from gsgen.formats.merging.mixture import Mixture, concatenate, surface_area
-from gsgen.formats.merging.moments import MAX_OPACITY, ellipsoids, merge_clusters
+from gsgen.formats.merging.moments import MAX_OPACITY, ellipsoids, merge_clusters, squared_shift
 from support.tiles.tile_scenes import mixture
 
 P = 1.6075
@@ -34,6 +34,22 @@ def merge_oracle(
         sh += weight * mixture.sh[i] / total
     covariance *= widen**2
     return mean, covariance, min(total / area_oracle(covariance), MAX_OPACITY), sh
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_shift_is_the_mean_square_of_distances_by_mass(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 60))
+    members = mixture(rng, count)
+    starts = np.flatnonzero(np.concatenate([[True], rng.random(count - 1) < 0.3]))
+    merged = merge_clusters(members, starts)
+    full = symmetric(members.covariance)
+    weights = [members.opacity[i] * area_oracle(full[i]) for i in range(count)]
+    cluster = np.searchsorted(starts, np.arange(count), side="right") - 1
+    distances = [math.dist(members.mean[i], merged.mean[cluster[i]]) for i in range(count)]
+    total = math.fsum(w * d**2 for w, d in zip(weights, distances, strict=True))
+    assert squared_shift(members, starts) == pytest.approx(total / math.fsum(weights), rel=1e-6)
+    assert squared_shift(members, np.arange(count)) == pytest.approx(0, abs=1e-20)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -131,7 +131,7 @@ def test_up_is_a_unit_vector_in_the_root_s_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(replace(tileset, transform=turned).up, [0, 0, -1], atol=1e-12)
 
 
-_OPTIONAL = {"files", "worth"}  # of tiles with a single quality
+_OPTIONAL = {"error", "files", "worth"}  # of older tilesets, and tiles with a single quality
 
 
 def test_the_properties_of_every_tile_are_required() -> None:
@@ -155,7 +155,9 @@ def test_a_tile_tells_its_files_bytes_and_worth_at_each_quality(
     """Implicit tiles keep sizes and worth in tables, and addresses in a template."""
     box = {"low": corner(0, 0, 0), "high": corner(1, 1, 1)}
     contents = tuple(
-        ContentRecord(uri=implicit_uri(0, (0, 0, 0), q), size=90 - q, worth=1 - q / 8, **box)
+        ContentRecord(
+            uri=implicit_uri(0, (0, 0, 0), q), size=90 - q, worth=1 - q / 8, error=q / 4, **box
+        )
         for q in range(3)
     )
     root = record(0, (0, 0, 0), contents=contents)
@@ -165,3 +167,4 @@ def test_a_tile_tells_its_files_bytes_and_worth_at_each_quality(
     assert tile.files == tuple(f"t/0/0_0_0-q{q}.glb" for q in range(3))
     assert tile.file_sizes == (90, 89, 88)
     assert tile.metadata["worth"] == [1, 0.875, 0.75]
+    assert tile.metadata["error"] == [0, 0.25, 0.5]

@@ -10,7 +10,7 @@ from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.formats import Splats
 from gsgen.formats.shared.quantities import sigmoid
 from gsgen.tiles.gltf.encoding import write_content
-from gsgen.tiles.gltf.file_worth import file_worth
+from gsgen.tiles.gltf.file_worth import compare_stored
 from support.splat_files import scene
 
 
@@ -65,16 +65,28 @@ def test_the_closed_form_is_the_sum_over_pixels_and_directions(degree: int, amou
     splats = scene(6, degree, seed=degree)
     splats = replace(splats, log_scale=splats.log_scale.clip(-2, 0))
     stored = moved_copy(splats, degree, amount)
-    assert file_worth(splats, stored) == pytest.approx(summed_worth(splats, stored), abs=0.01)
+    assert compare_stored(splats, stored)[0] == pytest.approx(
+        summed_worth(splats, stored), abs=0.01
+    )
 
 
 def test_the_same_splats_are_worth_one_and_far_ones_nothing() -> None:
     splats = scene(50, 1, seed=3)
-    assert file_worth(splats, splats) == pytest.approx(1, abs=1e-6)
+    assert compare_stored(splats, splats)[0] == pytest.approx(1, abs=1e-6)
     far = replace(splats, position=splats.position + np.float32(1e3))
-    assert file_worth(splats, far) == pytest.approx(0, abs=1e-6)
+    assert compare_stored(splats, far)[0] == pytest.approx(0, abs=1e-6)
     unseen = replace(splats, logit_opacity=np.full(50, -1e3, np.float32))
-    assert file_worth(unseen, unseen) == 1
+    assert compare_stored(unseen, unseen)[0] == 1
+
+
+def test_the_shift_is_the_mean_square_of_distances_by_opacity_and_area() -> None:
+    splats = scene(40, 1, seed=4)
+    stored = moved_copy(splats, 1, 0.2)
+    scale = np.sort(np.exp(splats.log_scale.astype(np.float64)), axis=1)
+    weight = scale[:, 1] * scale[:, 2] / (1 + np.exp(-splats.logit_opacity))
+    distance = np.linalg.norm(stored.position.astype(np.float64) - splats.position, axis=1)
+    expected = np.average(distance**2, weights=weight)
+    assert compare_stored(splats, stored)[1] == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_coarser_quality_is_worth_less() -> None:

@@ -1,6 +1,6 @@
 """Writes the ``tileset.json`` of a built tileset, and deletes files of earlier builds."""
 
-__all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index", "write_record"]
+__all__ = ["is_complete", "remove_stale", "walk", "write_index", "write_record"]
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +12,7 @@ import numpy as np
 
 from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.formats.merging.levels import geometric_error
 from gsgen.formats.tileset_paths import INDEX_FILE
 from gsgen.tiles.build.files import read_json
 from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
@@ -31,22 +32,6 @@ _WRITTEN_FILES: Final = (
     *("t/*/*.glb", "s/*/*.subtree", "tileset*.json", "n/*"),
     *(STREAMED_META, f"[0-9]_*/{META_FILE}", "[0-9]_*/*.webp"),
 )
-
-ERROR_PER_CELL: Final = 4.0
-"""Geometric error, in side lengths of the grid cell in which splats are merged.
-
-Rendered views of a town reach SSIM 0.95 where a cell is 4 pixels (8 give 0.90). Viewers refine
-at 16 pixels of error unless told otherwise, so that an error of 4 cells makes that the default.
-"""
-
-
-def geometric_error(tile: Tile) -> float:
-    """Return the geometric error of drawing a tile in place of its leaves, in scene units.
-
-    It is never less than that of a tile below.
-    """
-    below = (geometric_error(child) for child in tile.children)
-    return max(ERROR_PER_CELL * tile.cell, *below) if tile.children else 0.0
 
 
 def write_index(
@@ -126,6 +111,7 @@ def _tile_record(tile: Tile) -> TileRecord:
             low=np.array(content.low),
             high=np.array(content.high),
             worth=content.worth,
+            error=content.error,
         )
         for content in tile.contents
     )
@@ -135,7 +121,7 @@ def _tile_record(tile: Tile) -> TileRecord:
         # One box for all qualities, so that their trees are the same.
         low=np.min([content.low for content in contents], axis=0),
         high=np.max([content.high for content in contents], axis=0),
-        geometric_error=geometric_error(tile),
+        geometric_error=geometric_error(tile.squared_shift),
         cell=tile.cell,
         splats=tile.splats,
         contents=contents,

@@ -6,13 +6,13 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast, final
+from typing import Any, Final, cast, final
 
 import numpy as np
 from jaxtyping import UInt64
 
 from gsgen.formats import Splats
-from gsgen.formats.merging.levels import Level, stored_degree
+from gsgen.formats.merging.levels import Level, geometric_error, stored_degree
 from gsgen.formats.merging.mixture import Mixture
 from gsgen.formats.merging.splat_mixtures import mixture_of, splats_of
 from gsgen.tiles.build.files import write_bytes
@@ -22,6 +22,8 @@ from gsgen.tiles.format.implicit_tiling.writing import implicit_uri
 from gsgen.tiles.format.index import content_uri
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.gltf.encoding import write_content
+
+_LEAST_SHIFT: Final = 1 / 1024  # of a cell
 
 
 @final
@@ -36,6 +38,7 @@ class Content:
         low: Lower corner of the stored splats at 3σ, in the root frame.
         high: Upper corner of the same.
         worth: How like the splats of the tile the stored ones are, 0 to 1.
+        error: Geometric error of drawing the stored ones in place of the leaves, in scene units.
     """
 
     path: str
@@ -44,6 +47,7 @@ class Content:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     worth: float
+    error: float
 
 
 @final
@@ -57,6 +61,7 @@ class Tile:
         splats: Of its content.
         sh_degree: Of its content.
         cell: Side of the cells that its splats were merged in, in scene units; 0 for a leaf.
+        squared_shift: How far merging has moved the splats of the leaves, in scene units².
         contents: A file for each quality, finest first.
         children: Tiles that replace it, in order of their cells.
     """
@@ -66,6 +71,7 @@ class Tile:
     splats: int
     sh_degree: int
     cell: float
+    squared_shift: float = 0.0
     contents: tuple[Content, ...]
     children: tuple["Tile", ...] = ()
 
@@ -108,9 +114,14 @@ def write_leaf(
 
 def write_level(plan: Plan, level: Level, location: int, children: list[Tile]) -> Tile:
     """Write merged splats as the content files of a parent tile."""
-    splats = splats_of(level.mixture, stored_degree(level.mixture))
+    flags: JsonDict = {"antialiased": plan.antialiased, "color_space": plan.color_space}
+    splats = replace(splats_of(level.mixture, stored_degree(level.mixture)), **flags)
     cell = plan.cube.side / (1 << level.depth)
-    return _write(plan, splats, location, cell=cell, children=tuple(children))
+    # Shifts of level above level are independent: their squares add. A tile that replaces others
+    # has an error, even where merging moves nothing.
+    shift = level.squared_shift + max(child.squared_shift for child in children)
+    shift = max(shift, (_LEAST_SHIFT * cell) ** 2)
+    return _write(plan, splats, location, cell=cell, squared_shift=shift, children=tuple(children))
 
 
 def _write(
@@ -119,11 +130,10 @@ def _write(
     location: int,
     *,
     cell: float,
+    squared_shift: float = 0.0,
     extra: int = 0,
     children: tuple[Tile, ...] = (),
 ) -> Tile:
-    space = cast(Any, plan.color_space)
-    splats = replace(splats, antialiased=plan.antialiased, color_space=space)
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
     center = (low.astype(np.float64) + high) / 2
     contents: list[Content] = []
@@ -144,6 +154,7 @@ def _write(
             low=_point_tuple(encoded.low.tolist()),
             high=_point_tuple(encoded.high.tolist()),
             worth=round(encoded.worth, 4),
+            error=geometric_error(squared_shift + encoded.squared_shift),
         )
         contents.append(content)
         degree = encoded.sh_degree
@@ -153,6 +164,7 @@ def _write(
         splats=len(splats),
         sh_degree=degree,
         cell=cell,
+        squared_shift=squared_shift,
         contents=tuple(contents),
         children=children,
     )

@@ -51,6 +51,7 @@ class ContentRecord:
         low: Lower corner of its splats at 3σ, in the root frame.
         high: Upper corner of the same.
         worth: Similarity of its splats to those of the scene, 0 to 1.
+        error: Geometric error of drawing it, in units of the root frame.
     """
 
     uri: str
@@ -58,6 +59,7 @@ class ContentRecord:
     low: BoxCorner
     high: BoxCorner
     worth: float = 1.0
+    error: float = 0.0
 
 
 @final
@@ -224,6 +226,7 @@ def _metadata_properties(tile: TileRecord) -> JsonDict:
     properties: JsonDict = {
         "bytes": [content.size for content in tile.contents],
         "cell": float(tile.cell),
+        "error": [float(np.float32(content.error)) for content in tile.contents],
         "splats": tile.splats,
     }
     if len(tile.contents) > 1:

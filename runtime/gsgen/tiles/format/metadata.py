@@ -39,6 +39,13 @@ def metadata_schema(*, has_origin: bool = False) -> JsonDict:
             "componentType": "FLOAT32",
             "description": "Side of the cells in which splats were merged; 0 for a leaf.",
         },
+        "error": {
+            **_SCALAR_PROPERTY,
+            "array": True,
+            "componentType": "FLOAT32",
+            "description": "Geometric error of drawing the content at each quality.",
+            "required": False,
+        },
         "splats": {
             **_SCALAR_PROPERTY,
             "componentType": "UINT32",
@@ -95,6 +102,7 @@ def implicit_metadata_schema(*, has_origin: bool = False, quality_count: int = 1
         "box": {**box, "required": True, "semantic": "TILE_BOUNDING_BOX"},
         "bytes": {**_SCALAR_PROPERTY, **row, "componentType": "UINT32", "required": True},
         "cell": {**_SCALAR_PROPERTY, "componentType": "FLOAT32", "required": True},
+        "error": {**_SCALAR_PROPERTY, **row, "componentType": "FLOAT32", "required": True},
         "geometric_error": {
             **_SCALAR_PROPERTY,
             "componentType": "FLOAT64",

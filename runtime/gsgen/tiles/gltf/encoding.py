@@ -23,7 +23,7 @@ from gsgen.tiles.format.extensions import SPZ_EXTENSION, CodecName
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.tileset import Z_UP_FROM_Y_UP
 from gsgen.tiles.gltf.axes import to_content_axes
-from gsgen.tiles.gltf.file_worth import file_worth
+from gsgen.tiles.gltf.file_worth import compare_stored
 from gsgen.tiles.gltf.spz_quality import SPZ_QUALITIES, encode_spz
 
 EXTENT_SIGMAS: Final = 3.0
@@ -47,6 +47,7 @@ class EncodedContent:
         splats: How many splats are stored.
         sh_degree: Degree of the spherical harmonics that are stored.
         worth: How like the splats the stored ones are, 0 to 1.
+        squared_shift: How far the stored ones are from the splats, in scene units².
     """
 
     data: bytes
@@ -55,6 +56,7 @@ class EncodedContent:
     splats: int
     sh_degree: int
     worth: float
+    squared_shift: float
 
 
 def write_content(
@@ -84,6 +86,8 @@ def write_content(
     document, binary, stored_splats = CODECS[codec](local, quality)
     document["nodes"] = [{"matrix": _translation(center), "mesh": 0}]
     low, high = _extent(stored_splats)
+    is_exact = stored_splats is local
+    worth, shift = (1.0, 0.0) if is_exact else compare_stored(local, stored_splats)
     padded = binary + bytes(-len(binary) % 4)
     return EncodedContent(
         data=build(document, len(padded)) + padded,
@@ -91,7 +95,8 @@ def write_content(
         high=high + center,
         splats=len(stored_splats),
         sh_degree=stored_splats.degree,
-        worth=1.0 if stored_splats is local else file_worth(local, stored_splats),
+        worth=worth,
+        squared_shift=shift,
     )
 
 

@@ -1,6 +1,6 @@
-"""What a file of splats is worth: how like the splats of the scene its stored splats are."""
+"""Compares the stored splats of a file with those of the scene: likeness, and shift."""
 
-__all__ = ["file_worth"]
+__all__ = ["compare_stored"]
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,8 +12,11 @@ from gsgen.formats.shared.splats import Splats
 _MEASURED_ROWS = 1024
 
 
-def file_worth(splats: Splats, stored: Splats) -> float:
-    """Return the similarity of stored splats to the splats they stand for, 0 to 1.
+def compare_stored(splats: Splats, stored: Splats) -> tuple[float, float]:
+    """Return how like stored splats are to the splats they stand for, and how far they moved.
+
+    The first is the worth of the file, 0 to 1. The second is the mean squared distance of the
+    centres, in scene units².
 
     Each splat is seen along its shortest axis. Its similarity is the correlation of the two
     footprints, ∫ g h / √(∫ g² ∫ h²), times that of the two colours, 2 a·b / (a·a + b·b), where a
@@ -55,7 +58,10 @@ def file_worth(splats: Splats, stored: Splats) -> float:
     )
     weight = sigmoid(splats.logit_opacity.astype(np.float64)) * np.sqrt(a * b)
     total = float(weight.sum())
-    return float(np.clip((weight * overlap * likeness).sum() / total, 0, 1)) if total else 1.0
+    if not total:
+        return 1.0, 0.0
+    worth = float(np.clip((weight * overlap * likeness).sum() / total, 0, 1))
+    return worth, float((weight * np.square(shift).sum(axis=1)).sum() / total)
 
 
 def _radiance(splats: Splats) -> Float64[np.ndarray, "n c"]:

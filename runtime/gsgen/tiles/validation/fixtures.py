@@ -391,6 +391,30 @@ def tiles_worth_in_percent() -> TilesetSketch:
     return sketch
 
 
+@_register_example("GT025")
+def tiles_error_of_one_quality() -> TilesetSketch:
+    """Fixture: a tileset of two qualities with a leaf that tells the error of one."""
+    sketch = explicit_sketch(qualities=(0, 4))
+    del _leaf_properties(sketch)["error"][1]
+    return sketch
+
+
+@_register_example("GT025")
+def tiles_error_falls_with_quality() -> TilesetSketch:
+    """Fixture: a tileset with a leaf whose coarser file has the smaller error."""
+    sketch = explicit_sketch(qualities=(0, 4))
+    _leaf_properties(sketch)["error"].reverse()
+    return sketch
+
+
+@_register_example("GT025")
+def tiles_error_below_that_of_tile() -> TilesetSketch:
+    """Fixture: a tileset whose root is refined at a larger error than its file has."""
+    sketch = explicit_sketch()
+    sketch.document["root"]["metadata"]["properties"]["error"] = [0.01]
+    return sketch
+
+
 def _leaf_properties(sketch: TilesetSketch) -> JsonDict:
     properties: JsonDict = sketch.document["root"]["children"][0]["metadata"]["properties"]
     return properties

@@ -3,6 +3,7 @@
 __all__ = ["TilesetSketch", "edit_glb", "explicit_sketch", "implicit_sketch", "sample_splats"]
 
 import json
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -96,10 +97,10 @@ def explicit_sketch(
     children = tuple(
         _leaf_record(leaf, n, codec, files, qualities) for n, leaf in enumerate(leaves)
     )
-    root = _tile_record(coarse_splats, 0, (0, 0, 0), codec, files, qualities)
-    root = replace(
-        root, geometric_error=_GEOMETRIC_ERROR, cell=_GEOMETRIC_ERROR / 4, children=children
+    root = _tile_record(
+        coarse_splats, 0, (0, 0, 0), codec, files, qualities, error=_GEOMETRIC_ERROR
     )
+    root = replace(root, cell=_GEOMETRIC_ERROR / 4, children=children)
     document = tileset_document(
         root, source_splats=sum(map(len, leaves)), sh_degree=1, codec=codec, transform=transform
     )
@@ -130,6 +131,7 @@ def _tile_record(
     qualities: tuple[int, ...] = (0,),
     *,
     implicit: bool = False,
+    error: float = 0.0,
 ) -> TileRecord:
     middle = splats.position.astype(np.float64).mean(axis=0)
     contents: list[ContentRecord] = []
@@ -140,13 +142,14 @@ def _tile_record(
             uri = implicit_uri(level, coordinates, len(contents))
         files[uri] = encoded.data
         box = {"low": encoded.low, "high": encoded.high}
-        contents.append(ContentRecord(uri=uri, size=len(encoded.data), worth=encoded.worth, **box))
+        told = {"worth": encoded.worth, "error": error + math.sqrt(encoded.squared_shift)}
+        contents.append(ContentRecord(uri=uri, size=len(encoded.data), **told, **box))
     return TileRecord(
         level=level,
         coordinates=coordinates,
         low=np.min([content.low for content in contents], axis=0),
         high=np.max([content.high for content in contents], axis=0),
-        geometric_error=0.0,
+        geometric_error=error,
         splats=encoded.splats,
         contents=tuple(contents),
     )
@@ -181,11 +184,16 @@ def implicit_sketch(
                 if depth == level + 1 and _parent_coordinates(cell, 1) == (x, y, z)
             ]
             entry = _tile_record(
-                coarse_splats, level, (x, y, z), codec, files, qualities, implicit=True
+                coarse_splats,
+                level,
+                (x, y, z),
+                codec,
+                files,
+                qualities,
+                implicit=True,
+                error=0.5 * (2 - level),
             )
-            records[level, (x, y, z)] = replace(
-                entry, geometric_error=0.5 * (2 - level), children=tuple(below)
-            )
+            records[level, (x, y, z)] = replace(entry, children=tuple(below))
     total = sum(map(len, leaves.values()))
     with temporary_folder() as folder:
         path = folder / "tileset.json"

@@ -24,12 +24,12 @@ RETAINED_MASS: Final = 0.5
 """Coarser cells are chosen where the unmerged splats beside them hold this share of the mass."""
 
 
-ERROR_PER_SHIFT: Final = 8.0
+ERROR_PER_SHIFT: Final = 11.0
 """Geometric error, in the root of the mean squared shift of the splats that were merged.
 
 Rendered views of a town reach SSIM 0.95 where a cell in which splats are merged is 4 pixels (8 give
-0.90), and merging moves them by half a cell. Viewers refine at 16 pixels of error unless told
-otherwise, so that eight shifts make that the default.
+0.90), and merging moves them by 0.36 of a cell. Viewers refine at 16 pixels of error unless told
+otherwise, so that eleven shifts make that the default.
 """
 
 

@@ -238,17 +238,18 @@ def _subtree(
 
 def _tile_columns(cells: list[_Cell], quality_count: int) -> dict[str, np.ndarray]:
     records = [cell.record for cell in cells]
-    pairs = np.zeros((len(cells), quality_count, 2))
+    told = np.zeros((len(cells), quality_count, 3))
     for row, record in enumerate(records):
         for column, entry in enumerate(record.contents[:quality_count]):
-            pairs[row, column] = entry.size, entry.worth
+            told[row, column] = entry.size, entry.worth, entry.error
     return {
         "box": np.array([box_numbers(cell.low, cell.high) for cell in cells], "<f8"),
-        "bytes": pairs[:, :, 0].astype("<u4"),
+        "bytes": told[:, :, 0].astype("<u4"),
         "cell": np.array([record.cell for record in records], "<f4"),
+        "error": told[:, :, 2].astype("<f4"),
         "geometric_error": np.array([r.geometric_error for r in records], "<f8"),
         "splats": np.array([record.splats for record in records], "<u4"),
-        "worth": pairs[:, :, 1].astype("<f4"),
+        "worth": told[:, :, 1].astype("<f4"),
     }
 
 

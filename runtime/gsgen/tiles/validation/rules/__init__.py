@@ -16,6 +16,7 @@ from gsgen.tiles.validation.rules.contents import (
 from gsgen.tiles.validation.rules.files import (
     content_size,
     draft_names,
+    errors_told,
     hashes_match,
     leaves_match_source,
     no_empty_tiles,
@@ -59,6 +60,7 @@ TILESET_RULES = (
     levels_agree,
     contents_hold_splats,
     qualities_told,
+    errors_told,
 )
 """All rules, in order of their ids; the entry point names this."""
 

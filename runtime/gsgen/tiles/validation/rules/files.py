@@ -17,6 +17,7 @@ from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, tiles
 
 MAX_SPLATS: Final = 262_144
 MAX_BYTES: Final = 8 << 20
+_FLOAT32_STEP: Final = 1e-6  # to which errors are rounded, as a share
 _TARGET_KINDS: Final = (TILESET, TILE_CONTENT)
 _COMPLETE_FILE_RULES: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
 
@@ -127,6 +128,35 @@ def _quality_faults(
         worth is not None and len(entries) != len(told)
     ):
         yield f"worth {worth!r:.60}", f"{len(told)} numbers from 0 to 1"
+
+
+@tileset_rule("GT025", Severity.ERROR, needs=(SCHEMA_RULE,))
+def errors_told(inspected: InspectedTileset) -> Iterator[Violation]:
+    """A tile's errors grow from its finest to its coarsest quality, from its geometric error on.
+
+    Why:
+        A viewer decides by them how fine a file is worth its bytes. One that tells less than it
+        shows stays coarse on the screen.
+
+    Hint:
+        Build the tileset again. Without the property, the geometric error counts for all files.
+    """
+    tileset = inspected.tileset
+    if tileset is None or not inspected.is_built_by_gsgen:
+        return
+    for tile in tileset.tiles():
+        told, count = tile.metadata.get("error"), len(tile.file_sizes)
+        if told is None or not count:
+            continue
+        entries = told if isinstance(told, list) else [told]  # one quality of implicit tiles
+        least = tile.geometric_error * (1 - _FLOAT32_STEP)
+        is_told = len(entries) == count and all(map(is_number, entries))
+        if not (is_told and entries == sorted(entries) and entries[0] >= least):
+            yield Violation.at(
+                f"tile {tile.location}, metadata",
+                f"error {told!r:.60}",
+                f"{count} ascending numbers from {least:.4g} on",
+            )
 
 
 @tileset_rule("GT016", Severity.WARNING, needs=(SCHEMA_RULE,), kinds=_TARGET_KINDS)
