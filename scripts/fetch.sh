@@ -4,7 +4,7 @@
 # usage: scripts/fetch.sh [drivers] [swiftshader] [cesium] [browser] [splat-transform] [peers]
 #   drivers          Mesa's lavapipe, a software Vulkan driver, 25 or newer
 #   swiftshader      a second software Vulkan driver, which some tests draw on, too
-#   cesium           CesiumJS, and the browser that runs it: tests load tilesets there
+#   cesium           CesiumJS and PlayCanvas, and the browser that runs them: tests load tilesets there
 #   browser          what checks the browser client, the types of the wheel, and workflows
 #   splat-transform  PlayCanvas' converter, with which the benchmark of SOG compares files
 #   peers            other engines that draw splats in pages, beside which a benchmark measures ours
@@ -121,6 +121,7 @@ fetch_cesium() {
         apt-get install -y -qq --no-install-recommends chromium >/dev/null || fail "apt-get install chromium failed"
     fi
     npm_package cesium 1.145.0 7e348d18dcc14608bd8b110765f2c00dfd4602c7194647fa49cd4c4a757d4ae1 Build/Cesium
+    npm_package playcanvas 2.23.3 02d004937bc7f96c2a2473c336f5c2420c79b2b459af15ff991d6cac14a8bc97 build/playcanvas
 }
 
 # The TypeScript compiler reads the types in the client's comments; three.js is at both ends of the

@@ -51,3 +51,11 @@ def ladder_of(sizes: Sequence[Sequence[float]], worth: Sequence[float]) -> Quali
 def cut_of(visible_mask: Sequence[bool], error: Sequence[float]) -> TileCut:
     mask = np.array(visible_mask)
     return TileCut(seen=mask, selected=mask, error=np.array(error))
+
+
+def ancestors(tree: TileTree, tile: int) -> list[int]:
+    """Return the ancestors of a tile, the root last."""
+    rows = []
+    while (tile := int(tree.parent[tile])) >= 0:
+        rows.append(tile)
+    return rows

@@ -74,6 +74,7 @@ def test_without_errors_levels_are_told_apart_by_their_splats(tree: dict, tmp_pa
     [
         ({"bound": {}}, "min and max of 3 numbers"),
         ({"bound": {"min": [1, 0, 0], "max": [0, 1, 1]}}, "min of max or less"),
+        ({"bound": {"min": [0, 0, 0, 0], "max": [1, 1, 1]}}, "min and max of 3 numbers"),
         ({"errors": [0, "x"]}, "numbers of 0 or more"),
         ({"errors": [0, -1]}, "numbers of 0 or more"),
         ({"lods": {"0": {"file": 7, "offset": 0, "count": 1}}}, "one of 2 files"),

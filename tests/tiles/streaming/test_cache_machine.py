@@ -16,6 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.disk_cache import DiskCache
 from gsgen.tiles.streaming.residency import ResidentTiles
 from support.tiles.journeys import write_town
+from support.tiles.request_trees import ancestors
 
 pytestmark = pytest.mark.slow
 
@@ -66,7 +67,7 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
             events.append("frame")
             self.time += 1
             self.pool.frame(self.time, np.isin(np.arange(len(tree)), sorted(needed)))
-            self.protected = {0}.union(*({row, *tree.ancestors(row)} for row in needed))
+            self.protected = {0}.union(*({row, *ancestors(tree, row)} for row in needed))
             self.last_use.update(dict.fromkeys(self.protected, self.time))
 
         @rule(tile=rows)

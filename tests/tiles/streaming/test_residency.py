@@ -14,6 +14,7 @@ from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import TileFades, drawable_tiles
 from gsgen.tiles.streaming.residency import ResidentTiles
 from support.tiles.journeys import write_town
+from support.tiles.request_trees import ancestors
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree)
             present = (present - set(victims)) | {tile}
         assert present == set(np.flatnonzero(pool.resident).tolist())
         assert pool.used_slots == slots[sorted(present)].sum() <= capacity
-        protected = {0}.union(*({row, *tree.ancestors(row)} for row in needed_rows))
+        protected = {0}.union(*({row, *ancestors(tree, row)} for row in needed_rows))
         assert not protected & set(victims or ())
     assert evictions > 1000
     assert refusals > 0

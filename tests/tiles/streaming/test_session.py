@@ -27,7 +27,7 @@ from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.fetch import FetchLink
 from gsgen.tiles.streaming.session import SessionOptions, TilesetSession, open_session
-from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
+from gsgen.tiles.streaming.session_frame import SessionFrame
 from support.tiles.builds import build
 from support.tiles.tile_scenes import scattered
 
@@ -68,7 +68,7 @@ class Pool:
     """Follows the protocol as a renderer would, and checks every promise of it."""
 
     def __init__(self, session: TilesetSession) -> None:
-        protocol: StreamingSession = session
+        protocol = session
         self.session, self.slots = protocol, {}
         self.rows: dict[int, int] = {}  # uploaded, of tiles that are not whole
         self.parts = 0

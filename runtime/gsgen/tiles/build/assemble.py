@@ -19,13 +19,7 @@ from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.tile import Tile
 from gsgen.tiles.format.implicit_tiling.writing import write_implicit_tileset
-from gsgen.tiles.format.index import (
-    BUILD_RECORD,
-    ContentRecord,
-    TileRecord,
-    write_build_record,
-    write_tileset,
-)
+from gsgen.tiles.format.index import BUILD_RECORD, TileRecord, write_build_record, write_tileset
 from gsgen.tiles.format.json_values import JsonDict
 
 _WRITTEN_FILES: Final = (
@@ -79,7 +73,7 @@ def write_index(
         else:
             write_tileset(output / name, record, quality=quality, **facts)
     files = {
-        content.path: (content.size, content.sha256)
+        content.uri: (content.size, content.sha256)
         for tile in walk(root)
         for content in tile.contents
     } | neural_files
@@ -104,27 +98,16 @@ def walk(tile: Tile) -> Iterator[Tile]:
 
 
 def _tile_record(tile: Tile) -> TileRecord:
-    contents = tuple(
-        ContentRecord(
-            uri=content.path,
-            size=content.size,
-            low=np.array(content.low),
-            high=np.array(content.high),
-            worth=content.worth,
-            error=content.error,
-        )
-        for content in tile.contents
-    )
     return TileRecord(
         level=depth_of(tile.location),
         coordinates=coordinates_of(tile.location),
         # One box for all qualities, so that their trees are the same.
-        low=np.min([content.low for content in contents], axis=0),
-        high=np.max([content.high for content in contents], axis=0),
+        low=np.min([content.low for content in tile.contents], axis=0),
+        high=np.max([content.high for content in tile.contents], axis=0),
         geometric_error=geometric_error(tile.squared_shift),
         cell=tile.cell,
         splats=tile.splats,
-        contents=contents,
+        contents=tile.contents,
         children=tuple(_tile_record(child) for child in tile.children),
         oversized=tile.extra > 0,
     )

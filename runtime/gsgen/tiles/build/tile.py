@@ -1,6 +1,6 @@
 """Writes the content files of a tile, and describes the written tile."""
 
-__all__ = ["Content", "Tile", "leaf_splats", "tile_from_json", "write_leaf", "write_level"]
+__all__ = ["Tile", "leaf_splats", "tile_from_json", "write_leaf", "write_level"]
 
 import hashlib
 from collections.abc import Mapping
@@ -19,35 +19,11 @@ from gsgen.tiles.build.files import write_bytes
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.spill import Rows
 from gsgen.tiles.format.implicit_tiling.writing import implicit_uri
-from gsgen.tiles.format.index import content_uri
+from gsgen.tiles.format.index import ContentRecord, content_uri
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.gltf.encoding import write_content
 
 _LEAST_SHIFT: Final = 1 / 1024  # of a cell
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Content:
-    """A written content file of a tile, at one SPZ quality.
-
-    Attributes:
-        path: Relative to the tileset.
-        size: Bytes.
-        sha256: Of the bytes.
-        low: Lower corner of the stored splats at 3σ, in the root frame.
-        high: Upper corner of the same.
-        worth: How like the splats of the tile the stored ones are, 0 to 1.
-        error: Geometric error of drawing the stored ones in place of the leaves, in scene units.
-    """
-
-    path: str
-    size: int
-    sha256: str
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    worth: float
-    error: float
 
 
 @final
@@ -72,26 +48,26 @@ class Tile:
     sh_degree: int
     cell: float
     squared_shift: float = 0.0
-    contents: tuple[Content, ...]
+    contents: tuple[ContentRecord, ...]
     children: tuple["Tile", ...] = ()
 
     def as_json(self) -> JsonDict:
         """Return the tile and its descendants as a JSON object."""
-        return asdict(self)
+
+        def plain(items: list[tuple[str, Any]]) -> JsonDict:
+            return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in items}
+
+        return asdict(self, dict_factory=plain)
 
 
 def tile_from_json(value: Mapping[str, Any]) -> Tile:
     """Return a tile from the JSON of :meth:`Tile.as_json`."""
     contents = (
-        Content(**{**item, "low": _point_tuple(item["low"]), "high": _point_tuple(item["high"])})
+        ContentRecord(**{**item, "low": np.array(item["low"]), "high": np.array(item["high"])})
         for item in value["contents"]
     )
     children = (tile_from_json(child) for child in value["children"])
     return Tile(**{**value, "contents": tuple(contents), "children": tuple(children)})
-
-
-def _point_tuple(values: list[float]) -> tuple[float, float, float]:
-    return cast(tuple[float, float, float], tuple(values))
 
 
 def leaf_splats(plan: Plan, rows: Rows) -> Splats:
@@ -136,7 +112,7 @@ def _write(
 ) -> Tile:
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
     center = (low.astype(np.float64) + high) / 2
-    contents: list[Content] = []
+    contents: list[ContentRecord] = []
     degree = splats.degree
     for quality in plan.parameters.qualities:
         encoded = write_content(splats, center, codec=plan.parameters.codec, quality=quality)
@@ -147,12 +123,12 @@ def _write(
         else:
             path = content_uri(depth, cell_index, encoded.data)
         write_bytes(Path(plan.output) / path, encoded.data)
-        content = Content(
-            path=path,
+        content = ContentRecord(
+            uri=path,
             size=len(encoded.data),
             sha256=digest,
-            low=_point_tuple(encoded.low.tolist()),
-            high=_point_tuple(encoded.high.tolist()),
+            low=encoded.low,
+            high=encoded.high,
             worth=round(encoded.worth, 4),
             error=geometric_error(squared_shift + encoded.squared_shift),
         )

@@ -52,6 +52,7 @@ class ContentRecord:
         high: Upper corner of the same.
         worth: Similarity of its splats to those of the scene, 0 to 1.
         error: Geometric error of drawing it, in units of the root frame.
+        sha256: Of the file; empty where nothing asks for it.
     """
 
     uri: str
@@ -60,6 +61,7 @@ class ContentRecord:
     high: BoxCorner
     worth: float = 1.0
     error: float = 0.0
+    sha256: str = ""
 
 
 @final

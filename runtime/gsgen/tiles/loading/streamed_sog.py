@@ -101,19 +101,18 @@ def load_streamed_sog(store: Store, index: str, limits: Limits, name: str) -> Ti
 
 def _box(leaf: StreamedLeaf, location: str) -> Box:
     bound = leaf.bound if isinstance(leaf.bound, dict) else {}
-    corners = [bound.get(key) for key in ("min", "max")]
-    if not all(
-        isinstance(corner, list) and len(corner) == 3 and all(map(is_number, corner))
-        for corner in corners
-    ):
+    corners = [
+        corner
+        for corner in (bound.get("min"), bound.get("max"))
+        if isinstance(corner, list) and len(corner) == 3 and all(map(is_number, corner))
+    ]
+    if len(corners) != 2 or not (np.array(corners[0]) <= corners[1]).all():
         raise TilesetInvalid(
-            f"bound {leaf.bound!s:.60}", location=location, expected="min and max of 3 numbers"
+            f"bound {leaf.bound!s:.60}",
+            location=location,
+            expected="min and max of 3 numbers, min of max or less",
         )
     low, high = np.array(corners, np.float64)
-    if not (low <= high).all():
-        raise TilesetInvalid(
-            f"bound {leaf.bound!s:.60}", location=location, expected="min of max or less"
-        )
     return Box((low + high) / 2, np.diag((high - low) / 2))
 
 

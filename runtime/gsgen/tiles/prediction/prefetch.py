@@ -1,7 +1,9 @@
 """Prefetching: which tiles will the camera need soon, by predicted poses or a known path?"""
 
-__all__ = ["FilmPrefetch", "HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
+__all__ = ["HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
 
+import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol, final
@@ -24,7 +26,7 @@ PLAN_INTERVAL_SECONDS: Final = 0.1
 """Seconds between two predictions of the tiles that will be seen."""
 
 
-_MOST_FILM_TILES: Final = 16  # that are looked for at once
+_MOST_PATH_TILES: Final = 16  # that are looked for at once
 
 
 @final
@@ -115,13 +117,17 @@ class HorizonPrefetch:
 
 
 @final
-class FilmPrefetch:
-    """Prefetches the tiles of the frames to come, in the order of the frames.
+class PathPrefetch:
+    """Prefetches the tiles of the frames to come of a known camera path, the earliest first.
+
+    Attributes:
+        is_film: Whether frames wait for their tiles, so that they have no times.
 
     Args:
         tree: The tiles.
         frustums: Of all frames, in order.
         max_error: Screen-space error above which tiles are refined, in pixels.
+        times: Of the frames, in seconds, ascending; None for a film.
         slots: Slots of GPU memory that each tile needs.
         capacity: Slots for the tiles of the frames ahead: more would displace each other.
     """
@@ -131,70 +137,45 @@ class FilmPrefetch:
         tree: TileTree,
         frustums: Sequence[Frustum],
         max_error: float,
-        slots: Int64[np.ndarray, " n"],
-        capacity: int,
+        *,
+        times: Sequence[float] | None = None,
+        slots: Int64[np.ndarray, " n"] | None = None,
+        capacity: float = math.inf,
     ) -> None:
-        self._tree, self._max_error, self._slots = tree, max_error, slots
-        self._frames, self._capacity = list(frustums), capacity
+        self._tree, self._frustums, self._max_error = tree, frustums, max_error
+        self._frame_times, self.is_film = times, times is None
+        self._slots = np.zeros(len(tree), np.int64) if slots is None else slots
+        self._capacity = capacity
+        self._frame = 0
+        self._orders: dict[int, Int64[np.ndarray, " m"]] = {}
 
     def observe(self, pose: Pose) -> None:
         """Forget the frames up to the one that is drawn now."""
-        for index, frustum in enumerate(self._frames):
-            if np.array_equal(frustum.eye, pose.position):
-                del self._frames[:index]
-                return
+        if self._frame_times is not None:
+            self._frame = bisect_right(self._frame_times, pose.time)
+            return
+        ahead = range(self._frame, len(self._frustums))
+        matches = (i for i in ahead if np.array_equal(self._frustums[i].eye, pose.position))
+        self._frame = next(matches, self._frame)
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the missing tiles of the frames to come, the earliest first, as far as they fit."""
         ahead = np.zeros(len(self._tree), bool)
-        tiles: dict[int, None] = {}
-        for frustum in self._frames:
-            cut = cut_tree(self._tree, frustum, self._max_error)
-            ahead |= cut.seen
+        missing: list[int] = []
+        for frame in range(self._frame, len(self._frustums)):
+            order = self._order(frame)
+            entries = order[~ahead[order]]
+            ahead[entries] = True
             if int(self._slots[ahead].sum()) > self._capacity:
                 break
-            tiles.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
-            if sum(not loaded[tile] for tile in tiles) >= _MOST_FILM_TILES:
+            missing += entries[~loaded[entries]].tolist()
+            if len(missing) >= _MOST_PATH_TILES:
                 break
-        return [tile for tile in tiles if not loaded[tile]]
+        return missing
 
-
-@final
-class PathPrefetch:
-    """Prefetches tiles along a camera path known in advance: the best case of prediction.
-
-    Args:
-        tree: The tiles.
-        path: All poses of the path.
-        frustum_at: Returns the frustum of a position and a quaternion.
-        max_error: Screen-space error above which tiles are refined, in pixels.
-    """
-
-    def __init__(
-        self,
-        tree: TileTree,
-        path: Sequence[Pose],
-        frustum_at: Callable[[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 4"]], Frustum],
-        max_error: float,
-    ) -> None:
-        self._times: list[list[float]] = [[] for _ in tree.tiles]
-        was_needed = np.zeros(len(tree), bool)
-        for pose in path:
-            cut = cut_tree(tree, frustum_at(pose.position, pose.quaternion), max_error)
-            for tile in np.flatnonzero(cut.selected & ~was_needed).tolist():
-                self._times[tile].append(pose.time)
-            was_needed = cut.selected
-        self._time = -np.inf
-
-    def observe(self, pose: Pose) -> None:
-        """Record a frame's time: tiles that the known camera path needs later are prefetched."""
-        self._time = pose.time
-
-    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Return the tiles that a known camera path will need, the earliest first."""
-        entries = [
-            (next((time for time in times if time > self._time), np.inf), tile)
-            for tile, times in enumerate(self._times)
-            if times and not loaded[tile]
-        ]
-        return [tile for time, tile in sorted(entries) if time < np.inf]
+    def _order(self, frame: int) -> Int64[np.ndarray, " m"]:
+        """Return the tiles that a frame of the path sees, in order of request."""
+        if frame not in self._orders:
+            cut = cut_tree(self._tree, self._frustums[frame], self._max_error)
+            self._orders[frame] = request_order(self._tree, cut)
+        return self._orders[frame]

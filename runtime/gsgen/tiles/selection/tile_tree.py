@@ -108,13 +108,6 @@ class TileTree:
             mask[self.parent[rows[mask[rows]]]] = True
         return mask
 
-    def ancestors(self, tile: int) -> list[int]:
-        """Return the ancestors of a tile, the root last."""
-        parent_indices = []
-        while (tile := int(self.parent[tile])) >= 0:
-            parent_indices.append(tile)
-        return parent_indices
-
 
 _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
 

@@ -12,7 +12,7 @@ The reactive client is normative. Frames are the rows of the path. At each frame
    index), in depth-first order; as long as the root is missing, for no other.
 """
 
-__all__ = ["PREFETCH_POLICIES", "Simulation", "policy_named", "simulate"]
+__all__ = ["PREFETCH_POLICIES", "Simulation", "simulate"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,11 +34,6 @@ from gsgen.tiles.streaming.planner import RequestPlanner
 
 Policy = Literal["reactive", "predictive", "oracle"]
 PREFETCH_POLICIES: Final[tuple[Policy, ...]] = ("reactive", "predictive", "oracle")
-
-
-def policy_named(name: str) -> Policy:
-    """Return the prefetch policy with a given name, such as ``reactive``."""
-    return next(policy for policy in PREFETCH_POLICIES if policy == name)
 
 
 @final
@@ -104,7 +99,9 @@ def simulate(
     if policy == "predictive":
         prefetch = HorizonPrefetch(tree, predictor(), view.frustum, view.max_error)
     elif policy == "oracle":
-        prefetch = PathPrefetch(tree, path, view.frustum, view.max_error)
+        frustums = [view.frustum(pose.position, pose.quaternion) for pose in path]
+        times = [pose.time for pose in path]
+        prefetch = PathPrefetch(tree, frustums, view.max_error, times=times)
     planner = RequestPlanner(tree, link, recorder, prefetch)
     loaded = np.array([not tile.contents for tile in tree.tiles])
     drawn_shares, received = [], []

@@ -1,22 +1,20 @@
 """Fetches and decodes the contents of tiles on threads, for a streaming session."""
 
-__all__ = ["RETRY_AFTER", "ArrivalLink", "FailedTiles", "FetchLink", "FetchResult"]
+__all__ = ["RETRY_AFTER", "FailedTiles", "FetchLink", "FetchResult"]
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
-from typing import Final, Generic, Protocol, TypeVar, final
+from typing import Final, Generic, TypeVar, final
 
 import numpy as np
 from jaxtyping import Bool
 
 from gsgen.contract.errors import GsgenError
 from gsgen.tiles.errors import StoreUnavailable
-from gsgen.tiles.streaming.planner import Link
-from gsgen.tiles.streaming.session_frame import TileArrival
 
 FetchedType = TypeVar("FetchedType")
 DecodedType = TypeVar("DecodedType")
@@ -204,30 +202,6 @@ class FetchLink(Generic[FetchedType, DecodedType]):
     def _queue_result(self, result: FetchResult[DecodedType]) -> None:
         self._results.put(result)
         self._result_event.set()
-
-
-class ArrivalLink(Link, Protocol):
-    """Protocol of network links that deliver decoded tiles."""
-
-    def queue(self, tiles: Iterable[int]) -> None:
-        """Replace the queue of tiles; each is requested when a network connection is free."""
-        ...
-
-    def take_started(self) -> list[int]:
-        """Return the queued tiles whose requests began since the last call."""
-        ...
-
-    def poll(self) -> Sequence[FetchResult[TileArrival]]:
-        """Return the tiles that arrived or failed since the last call."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails, for a limited time."""
-        ...
-
-    def close(self) -> None:
-        """Cancel all tile requests of the network link."""
-        ...
 
 
 @final

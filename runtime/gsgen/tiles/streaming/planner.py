@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from gsgen.tiles.prediction.poses import Pose
-from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, FilmPrefetch, PathPrefetch, Prefetch
+from gsgen.tiles.prediction.prefetch import PREDICTION_HORIZON, PathPrefetch, Prefetch
 from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.request_order import missing_tiles, request_order
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -85,7 +85,7 @@ class RequestPlanner:
     def prefetch(self, prefetch: Prefetch | None) -> None:
         """Prefetch as ``prefetch`` says from now on. Nothing is wasted along paths that are known."""
         self._prefetch = prefetch
-        self._is_bounded = not isinstance(prefetch, PathPrefetch | FilmPrefetch)
+        self._is_bounded = not isinstance(prefetch, PathPrefetch)
 
     def frame(self, pose: Pose, cut: TileCut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Set the tiles that a new frame needs, and cancel prefetches that delay these tiles.
@@ -161,7 +161,8 @@ class RequestPlanner:
         finer = next(
             (tile for tile in finer_tiles if tile not in self._purpose_by_pending_tile), None
         )
-        if finer is not None and isinstance(self._prefetch, FilmPrefetch):
+        is_film = isinstance(self._prefetch, PathPrefetch) and self._prefetch.is_film
+        if finer is not None and is_film:
             return finer, "finer"  # a frame of a film waits for it
         # 2. The most urgent tile that will be seen, if its expected waste is within the bound.
         candidates = self._prefetch.candidates(loaded) if self._prefetch else []

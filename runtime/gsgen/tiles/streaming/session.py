@@ -5,7 +5,7 @@ __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -20,7 +20,7 @@ from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.prediction.predictors import predictor_maker
-from gsgen.tiles.prediction.prefetch import FilmPrefetch, HorizonPrefetch
+from gsgen.tiles.prediction.prefetch import HorizonPrefetch, PathPrefetch
 from gsgen.tiles.selection.cut import TileCut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import finer_file_order
@@ -32,13 +32,7 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog, print_line
-from gsgen.tiles.streaming.fetch import (
-    RETRY_AFTER,
-    ArrivalLink,
-    FailedTiles,
-    FetchLink,
-    FetchResult,
-)
+from gsgen.tiles.streaming.fetch import RETRY_AFTER, FailedTiles, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
@@ -186,7 +180,7 @@ class TilesetSession:
     def __init__(
         self,
         tree: TileTree,
-        link: ArrivalLink,
+        link: FetchLink[Any, TileArrival],
         clock: Clock,
         options: SessionOptions,
         *,
@@ -324,9 +318,9 @@ class TilesetSession:
 
     def expect(self, frustums: Sequence[Frustum]) -> None:
         """Prefetch along the cameras of frames to come, which will be drawn in this order."""
-        capacity = self.pool_slots
-        film = FilmPrefetch(self.tree, frustums, self._options.max_error, self._slots, capacity)
-        self._planner.prefetch(film)
+        error, capacity = self._options.max_error, self.pool_slots
+        path = PathPrefetch(self.tree, frustums, error, slots=self._slots, capacity=capacity)
+        self._planner.prefetch(path)
 
     def wait(self, seconds: float) -> None:
         """Sleep until a requested tile arrives or fails; return at once if tiles await upload."""

@@ -2,7 +2,7 @@
 
 The session decides, the renderer obeys. Each frame, in this order:
 
-1. The renderer calls :meth:`StreamingSession.frame` with its camera.
+1. The renderer calls ``TilesetSession.frame`` with its camera.
 2. It frees the slots of every tile of ``evicted``, and of no other.
 3. It uploads the part of every arrival of ``arrivals``. Their bytes are within the upload budget,
    and their slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ for a whole tile,
@@ -15,18 +15,15 @@ it has its slots from the first part on, and is resident with the last. Keys are
 tiles in depth-first order and never change; a tile that was evicted may arrive again.
 """
 
-__all__ = ["DrawnTile", "SessionFrame", "StreamingSession", "TileArrival"]
+__all__ = ["DrawnTile", "SessionFrame", "TileArrival"]
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsgen.runtime.scene.splat_pool import pool_row_bytes
-from gsgen.tiles.selection.frustum import Frustum
-from gsgen.tiles.streaming.metrics import StreamingMetrics
 
 
 @final
@@ -124,50 +121,3 @@ class SessionFrame:
     retried: int = 0
     absent_tiles: tuple[int, ...] = ()
     is_complete: bool
-
-
-class StreamingSession(Protocol):
-    """A tileset that is streamed for one camera at a time.
-
-    Attributes:
-        sh_degree: Degree of ``appearance`` of all arrivals.
-        slot_rows: Rows of a slot of the pool.
-        pool_slots: Slots of the pool; resident tiles never need more.
-        upload_budget: The most bytes of arrivals in a frame; a slot that is larger than it
-            arrives alone.
-    """
-
-    sh_degree: int
-    slot_rows: int
-    pool_slots: int
-    upload_budget: int
-
-    def frame(self, frustum: Frustum) -> SessionFrame:
-        """Return the tiles to upload and to draw now, without waiting for the network.
-
-        Args:
-            frustum: Of the camera, in the root tile's frame: ``Frustum.from_camera``.
-        """
-        ...
-
-    def expect(self, frustums: Sequence[Frustum]) -> None:
-        """Prefetch along the cameras of frames to come, which will be drawn in this order."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until a requested tile arrives or fails, for a limited time."""
-        ...
-
-    @property
-    def first_failure(self) -> str:
-        """The error of the first tile that could not be had, in one line; empty without any."""
-        ...
-
-    @property
-    def metrics(self) -> StreamingMetrics:
-        """The metrics that the streaming session has measured so far."""
-        ...
-
-    def close(self) -> None:
-        """Cancel all tile requests and decoding, and close the tileset's file store."""
-        ...

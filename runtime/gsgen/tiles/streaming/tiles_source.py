@@ -31,8 +31,13 @@ from gsgen.tiles.streaming.drawing import FADE_SECONDS
 from gsgen.tiles.streaming.events import print_line
 from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles
-from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
-from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
+from gsgen.tiles.streaming.session import (
+    RUNS_PER_SECOND,
+    SessionOptions,
+    TilesetSession,
+    open_session,
+)
+from gsgen.tiles.streaming.session_frame import SessionFrame
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
@@ -63,7 +68,7 @@ class TilesSource(Source):
     def __init__(
         self,
         name: str,
-        session: StreamingSession,
+        session: TilesetSession,
         *,
         up: tuple[float, float, float],
         extent: tuple[Float[np.ndarray, "3"], float],

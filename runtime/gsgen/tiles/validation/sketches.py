@@ -141,9 +141,15 @@ def _tile_record(
         if implicit:
             uri = implicit_uri(level, coordinates, len(contents))
         files[uri] = encoded.data
-        box = {"low": encoded.low, "high": encoded.high}
-        told = {"worth": encoded.worth, "error": error + math.sqrt(encoded.squared_shift)}
-        contents.append(ContentRecord(uri=uri, size=len(encoded.data), **told, **box))
+        content = ContentRecord(
+            uri=uri,
+            size=len(encoded.data),
+            low=encoded.low,
+            high=encoded.high,
+            worth=encoded.worth,
+            error=error + math.sqrt(encoded.squared_shift),
+        )
+        contents.append(content)
     return TileRecord(
         level=level,
         coordinates=coordinates,

@@ -109,11 +109,8 @@ def simulate(
     with store:
         loaded = load_tileset(store, index, name=tileset)
         tree, ladder = TileTree.of_tileset(loaded, store), quality_ladder(loaded)
-    policies = (
-        client.PREFETCH_POLICIES
-        if policy is PolicyName.ALL_POLICIES
-        else (client.policy_named(policy),)
-    )
+    is_all = policy is PolicyName.ALL_POLICIES
+    policies = [entry for entry in client.PREFETCH_POLICIES if is_all or entry == policy]
     with confined or nullcontext():
         simulations = [
             client.simulate(
