@@ -5,15 +5,21 @@
 
 Journeys go through a generated town, over networks of constant and of changing rate; the table
 compares the reactive client, prediction by constant velocity, and a client that knows the path.
+Recordings of people take the place of journeys where ``GSGEN_BENCH_RECORDINGS`` names a folder of
+checkouts: see ``support.tiles.recordings``.
 """
 
+import os
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.tiles.loading.tileset_loader import open_tileset
+from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.client import PREFETCH_POLICIES, simulate
@@ -26,16 +32,35 @@ from support.tiles.journeys import (
     write_rows,
     write_town,
 )
+from support.tiles.recordings import recordings
 
 ARRIVALS_BAR = 1.1  # times a steady frame
+KNOWN_PATH_WASTE_BAR = 0.03
+RECORDINGS = os.environ.get("GSGEN_BENCH_RECORDINGS")
+_TOWN_SCALE = 8.0  # metres of the town for each metre of a room
+
+
+def _paths(folder: Path) -> Iterator[tuple[str, list[Pose]]]:
+    """Yield recordings, from their middle at eye level in the town; else journeys by formula."""
+    if not RECORDINGS:
+        for name, rows in journeys().items():
+            yield name, read_path(write_rows(folder / "path.csv", PATH_HEADER, rows))
+        return
+    paths = recordings(Path(RECORDINGS))
+    assert paths, f"no recording below {RECORDINGS}"
+    for name, path in paths.items():
+        middle = np.mean([pose.position for pose in path], axis=0)
+        eye = np.array([0, 0, 1.7])
+        moved = [(pose.position - middle) * _TOWN_SCALE + eye for pose in path]
+        yield name, [replace(pose, position=p) for pose, p in zip(path, moved, strict=True)]
 
 
 @pytest.mark.parametrize("connections", [1, 6])
 def bench_journeys(tmp_path: Path, connections: int) -> None:
     tree = TileTree.of_tileset(open_tileset(write_town(tmp_path)))
     print(f"\n{len(tree)} tiles, {connections} connections: reactive, predictive, oracle")
-    for journey, rows in journeys().items():
-        path = read_path(write_rows(tmp_path / "path.csv", PATH_HEADER, rows))
+    known_path_waste, ratios = [], []
+    for journey, path in _paths(tmp_path):
         for network, rates in networks().items():
             trace = read_trace(write_rows(tmp_path / "trace.csv", TRACE_HEADER, rates))
             results = [
@@ -49,6 +74,8 @@ def bench_journeys(tmp_path: Path, connections: int) -> None:
                 ).metrics
                 for policy in PREFETCH_POLICIES
             ]
+            known_path_waste.append(results[2].waste)
+            ratios.append((results[1].hit_rate + 1e-9) / (results[0].hit_rate + 1e-9))
             hit_rates = " ".join(f"{entry.hit_rate:6.1%}" for entry in results)
             waste = " ".join(f"{entry.waste:5.1%}" for entry in results)
             delay = " ".join(f"{entry.p95_delay_s:6.2f}" for entry in results)
@@ -56,6 +83,13 @@ def bench_journeys(tmp_path: Path, connections: int) -> None:
             print(
                 f"{journey:8} {network:7} hits {hit_rates}  waste {waste}  p95 {delay} s  holes {hole_count}"
             )
+
+    print(
+        f"known path: waste {np.mean(known_path_waste):.1%} on average, {max(known_path_waste):.1%} "
+        f"at most (bar {KNOWN_PATH_WASTE_BAR:.0%} on average); "
+        f"hits of prediction {np.mean(ratios):.2f} × those of reaction"
+    )
+    assert np.mean(known_path_waste) <= KNOWN_PATH_WASTE_BAR
 
 
 def bench_frames_with_arrivals() -> None:
