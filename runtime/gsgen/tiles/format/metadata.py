@@ -25,61 +25,33 @@ _FILES: Final[JsonDict] = {
 }
 
 
+def _number(component: str, description: str, **members: object) -> JsonDict:
+    """Return the property of a number, or with ``array`` of a list of numbers."""
+    told: JsonDict = {"componentType": component, "description": description, "required": True}
+    return {**_SCALAR_PROPERTY, **told, **members}
+
+
 def metadata_schema(*, has_origin: bool = False) -> JsonDict:
     """Return the metadata schema (3D Metadata Specification 1.0) of an explicit tileset."""
-    tile: dict[str, JsonDict] = {
-        "bytes": {
-            **_SCALAR_PROPERTY,
-            "array": True,
-            "componentType": "UINT32",
-            "description": "Bytes of the content at each quality, finest first.",
-        },
-        "cell": {
-            **_SCALAR_PROPERTY,
-            "componentType": "FLOAT32",
-            "description": "Side of the cells in which splats were merged; 0 for a leaf.",
-        },
-        "error": {
-            **_SCALAR_PROPERTY,
-            "array": True,
-            "componentType": "FLOAT32",
-            "description": "Geometric error of drawing the content at each quality.",
-            "required": False,
-        },
-        "splats": {
-            **_SCALAR_PROPERTY,
-            "componentType": "UINT32",
-            "description": "How many splats the content has.",
-        },
+    optional: JsonDict = {"array": True, "required": False}
+    tile = {
+        "bytes": _number(
+            "UINT32", "Bytes of the content at each quality, finest first.", array=True
+        ),
+        "cell": _number("FLOAT32", "Side of the cells in which splats were merged; 0 for a leaf."),
+        "error": _number(
+            "FLOAT32", "Geometric error of drawing the content at each quality.", **optional
+        ),
+        "splats": _number("UINT32", "How many splats the content has."),
         FILES_PROPERTY: {**_FILES, "required": False},
-        "worth": {
-            **_SCALAR_PROPERTY,
-            "array": True,
-            "componentType": "FLOAT32",
-            "description": "What drawing the content is worth at each quality, 0 to 1.",
-            "required": False,
-        },
+        "worth": _number(
+            "FLOAT32", "What drawing the content is worth at each quality, 0 to 1.", **optional
+        ),
     }
-    required = {name: {"required": True, **entry} for name, entry in tile.items()}
     tileset = {
-        "quality": {
-            **_SCALAR_PROPERTY,
-            "componentType": "UINT8",
-            "description": 'Which of the sizes in "bytes" is that of the contents.',
-            "required": True,
-        },
-        "sh_degree": {
-            **_SCALAR_PROPERTY,
-            "componentType": "UINT8",
-            "description": "Highest degree of spherical harmonics in the contents.",
-            "required": True,
-        },
-        "source_splats": {
-            **_SCALAR_PROPERTY,
-            "componentType": "UINT64",
-            "description": "How many splats the scene has: all leaves together.",
-            "required": True,
-        },
+        "quality": _number("UINT8", 'Which of the sizes in "bytes" is that of the contents.'),
+        "sh_degree": _number("UINT8", "Highest degree of spherical harmonics in the contents."),
+        "source_splats": _number("UINT64", "How many splats the scene has: all leaves together."),
     }
     if has_origin:
         tileset["origin"] = {
@@ -89,7 +61,7 @@ def metadata_schema(*, has_origin: bool = False) -> JsonDict:
         }
     return {
         "id": "gsgen_tiles",
-        "classes": {TILE_CLASS: {"properties": required}, TILESET_CLASS: {"properties": tileset}},
+        "classes": {TILE_CLASS: {"properties": tile}, TILESET_CLASS: {"properties": tileset}},
     }
 
 
