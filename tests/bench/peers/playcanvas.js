@@ -7,7 +7,7 @@ async function open(canvas, src, camera, onFrame) {
   const options = new pc.AppOptions();
   options.graphicsDevice = device;
   options.componentSystems = [pc.CameraComponentSystem, pc.GSplatComponentSystem];
-  options.resourceHandlers = [pc.GSplatHandler];
+  options.resourceHandlers = [pc.GSplatHandler, pc.TextureHandler]; // the images of SOG files are textures
   const app = new pc.AppBase(canvas);
   app.init(options);
   app.setCanvasFillMode(pc.FILLMODE_NONE, canvas.width, canvas.height);
