@@ -69,7 +69,7 @@ def test_a_served_tileset_is_described_and_validated(tmp_path: Path) -> None:
             server.shutdown()
             thread.join()
     assert completed.code == 0, completed.err
-    assert "22 rules hold" in completed.out
+    assert "23 rules hold" in completed.out
 
 
 def test_neither_wgpu_nor_scipy_nor_onnx_runtime_is_needed(tmp_path: Path) -> None:

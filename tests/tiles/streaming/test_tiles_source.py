@@ -235,7 +235,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
     (tmp_path / "scene.json").write_text(json.dumps(document))
     completed = gsgen_here(
         *("render", tmp_path / "scene.json", "-o", tmp_path / "a.png", "--sse", "0.1"),
-        *("--width", "64", "--height", "48", "--json"),
+        *("--width", "192", "--height", "144", "--json"),
     )
     assert completed.code == 0, completed.err
     assert json.loads(completed.out)["gaussians"] == 6050
