@@ -53,7 +53,6 @@ PARTS: dict[str, Part] = {
     "commands": commands.overview,
     "commands-besides": commands.besides,
     "config-keys": contract.config_keys,
-    "corpus-broken": corpus.broken,
     "corpus-good": corpus.good,
     "finding": runs.finding,
     "kinds": manifest.kinds,

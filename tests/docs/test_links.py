@@ -14,6 +14,9 @@ from gsgen.tiles.validation.rules import all_rules
 from support.commands import ROOT, gsgen_here
 from support.reports.pages import DOCS, README, anchors, links, name_of, pages
 
+GUIDES = sorted((DOCS / "guides").glob("*.md"))
+MOST_GUIDE_WORDS = 48_500
+
 
 @pytest.mark.parametrize("page", pages(), ids=name_of)
 def test_every_relative_link_leads_to_a_file_and_a_heading(page):
@@ -131,3 +134,9 @@ def test_every_name_on_a_page_exists(page):
             assert hasattr(import_module(module), name), path
         except ModuleNotFoundError:
             pytest.fail(f"{path} does not exist")
+
+
+def test_guides_stay_short() -> None:
+    """Code and tables included; the aim is 27,000 words."""
+    counts = {page.stem: len(page.read_text("utf-8").split()) for page in GUIDES}
+    assert sum(counts.values()) <= MOST_GUIDE_WORDS, sorted(counts, key=counts.__getitem__)[-3:]
