@@ -188,6 +188,8 @@ PATH_FAULTS = {
     "axes y and z exchanged": predictor(ON, ON, np.eye(3)[[0, 2, 1]]),
     "axis y negated": predictor(ON, ON, np.diag([1.0, -1.0, 1.0])),
     "axes in the order y z x": predictor(ON, ON, np.eye(3)[[1, 2, 0]]),
+    "axis y damped": predictor(ON, ON, np.diag([1.0, 0.4, 1.0])),
+    "speed per step times seconds": predictor(from_speed(0.1), ON),
     "turn negated": predictor(ON, from_speed(-1.0)),
     "rotations read backwards": predictor(ON, ON[:, ::-1]),
 }
@@ -200,6 +202,9 @@ RIGHT_PATHS = {
     ),
     "constant acceleration": predictor(
         weights_of_states((0.0, 1.0, -3.0, 3.0), (0.0, 3.0, -8.0, 6.0), (0.0, 6.0, -15.0, 10.0)), ON
+    ),
+    "the vertical damped": predictor(ON, ON, np.diag([1.0, 0.4, 1.0])).edit_manifest(
+        lambda fields: fields.update(space={"up": "+y"})
     ),
     "speed mixed a little": predictor(
         from_speed(0.8), ON, np.eye(3) + np.random.default_rng(2).normal(0, 0.1, (3, 3))

@@ -8,12 +8,16 @@ __all__ = [
     "MOVED_ALONE",
     "MOVED_TOGETHER",
     "NEGATED_LABEL",
+    "ORDER",
+    "ORDER_FRAMES",
     "OTHER_LENSES",
     "PATH_OFFSET",
     "PICTURE_CAMERAS",
     "REPEATED_LABEL",
     "ROOT_LABEL",
     "SINGLE_JOINT_ANGLE",
+    "STEPS",
+    "STEP_OFFSETS",
     "STRAIGHT_PATH_LABEL",
     "TILTED_LABEL",
     "TURN_AXIS",
@@ -61,6 +65,9 @@ _FRAME_FRACTION = 0.3
 _STEPS_PER_RANGE = 60
 # Part of the label of a probe in which the inputs of one role are zero.
 ZERO_LABEL = "with zero"
+# Names of the probes within two frames and of the first and last frames; where in a frame.
+STEPS, ORDER = "steps", "order"
+STEP_OFFSETS, ORDER_FRAMES = (0.1, 0.25, 0.5, 0.75, 0.9), (0, 1, 2, -3, -2, -1)
 # Name of the probes in which joints turn alone, the angle in radians, and the most joints.
 JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
 _MAX_JOINTS, _JOINT_LABEL = 24, "with a turn of joint "
@@ -116,6 +123,9 @@ def trial_probes(
                 yield "paces", tuple(_time_step_probes(entry, base))
                 yield "within frames", tuple(_frame_window_probes(entry, base))
                 yield "swept", tuple(_sweep_probes(manifest, entry, base))
+                yield STEPS, tuple(_step_probes(entry, base))
+            if entry.role in ("time", "frame_index") and entry.range is not None:
+                yield ORDER, tuple(_order_probes(entry, base))
     if isinstance(manifest, TrajectoryManifest):
         yield "paths", tuple(_path_probes(manifest, base))
     if len(first) > 1:
@@ -432,3 +442,32 @@ def _frame_window_probes(entry: Input, base: Probe) -> Iterator[Probe]:
         if frame < count > 1:
             probe = _probe_at_fraction(entry, base, (frame + _FRAME_FRACTION) / count)
             yield replace(probe, label=f"within frame {frame}", survey=True)
+
+
+def _step_probes(entry: Input, base: Probe) -> Iterator[Probe]:
+    """Yield test inputs at several instants within each of two frames, in the middle of the range."""
+    count = entry.frames or 0
+    middle = (count - 1) // 2
+    if count > 2:
+        for frame in (middle, middle + 1):
+            for offset in STEP_OFFSETS:
+                yield _probe_at_fraction(entry, base, (frame + offset) / count)
+
+
+def _order_probes(entry: Input, base: Probe) -> Iterator[Probe]:
+    """Yield test inputs within the first three frames and the last three."""
+    assert entry.range is not None
+    low, high = entry.range
+    count = entry.frames or 0
+    if entry.role == "frame_index":
+        count = min(count or int(high - low) + 1, int(high - low) + 1)
+    if count < len(ORDER_FRAMES):
+        return
+    for frame in ORDER_FRAMES:
+        number = frame % count
+        if entry.role == "time":
+            probe = _probe_at_fraction(entry, base, (number + _FRAME_FRACTION) / count)
+        else:
+            value = _array_filled_with(base.inputs[entry.name], math.ceil(low) + number)
+            probe = _changed_probe(base, "", **{entry.name: value})
+        yield replace(probe, label=f"frame {number} in order")

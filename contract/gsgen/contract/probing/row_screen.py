@@ -5,7 +5,7 @@ finds them faulty. It lets no fault pass that the rules GV003, GV005, GV006, GV0
 those of cells report, up to a sample of 16,384 suspected covariances of a run.
 """
 
-__all__ = ["drawn_rows", "live_count", "look_faulty", "row_keys"]
+__all__ = ["drawn_rows", "live_count", "look_faulty", "row_keys", "visible_count"]
 
 import numpy as np
 
@@ -65,6 +65,13 @@ def live_count(rows: np.ndarray, count: np.ndarray | None) -> int:
     """Return the row count of a run as the model gives it; all rows if it gives no whole number."""
     is_whole = count is not None and count.size and count.dtype.kind in "iu"
     return int(count.reshape(-1)[0]) if count is not None and is_whole else len(rows)
+
+
+def visible_count(rows: np.ndarray, count: np.ndarray | None) -> int:
+    """Return how many live rows are opaque enough to be drawn; 0 if the rows are not packed."""
+    if rows.ndim != 2 or rows.shape[1] != ROW_LENGTH:
+        return 0
+    return int(np.count_nonzero(rows[: max(0, live_count(rows, count)), OPACITY] >= CULL_OPACITY))
 
 
 def row_keys(rows: Float[np.ndarray, "n k"]) -> UInt[np.ndarray, " n"]:

@@ -52,10 +52,17 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class RowCount:
-    """The number of live Gaussians of a run, as the model gives it, and the rows of its output."""
+    """The number of live Gaussians of a run, as the model gives it, and the rows of its output.
+
+    Attributes:
+        count: The number of live rows.
+        capacity: The number of all rows.
+        drawn: The number of live rows that are opaque enough to be drawn.
+    """
 
     count: int
     capacity: int
+    drawn: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

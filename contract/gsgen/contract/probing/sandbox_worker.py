@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.probing.row_screen import drawn_rows, live_count, look_faulty
+from gsgen.contract.probing.row_screen import drawn_rows, live_count, look_faulty, visible_count
 from gsgen.contract.process.confinement import confine
 from gsgen.contract.process.limits import is_out_of_memory, limit_memory, limit_processor_time
 from gsgen.contract.process.parent_watchdog import exit_with_parent
@@ -264,7 +264,8 @@ def _survey_outputs(
     known[f"{_FAULTY if files else kinds[0]}{digest}"] = sample
     survey = None
     if rows is not None and rows.ndim:
-        survey = {"count": live_count(rows, count), "capacity": len(rows)}
+        live, visible = live_count(rows, count), visible_count(rows, count)
+        survey = {"count": live, "capacity": len(rows), "drawn": visible}
     facts: dict[str, object] = {"digest": digest, "outputs": files, "not_finite": not_finite}
     drawn = drawn_rows(rows, count) if is_pictured else None
     if drawn is not None and _MAX_PICTURES * drawn.nbytes < job["disk"]:

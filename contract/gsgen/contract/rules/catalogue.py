@@ -34,6 +34,7 @@ from gsgen.contract.rules.interface import (
     manifest,
     scene_inputs,
     side_files,
+    units,
 )
 from gsgen.contract.rules.outputs import capacity, companions, graph_outputs, outputs
 from gsgen.contract.rules.pictures import (
@@ -73,6 +74,7 @@ RULE_FAMILIES = (
     input_declarations,
     avatar_inputs,
     scene_inputs,
+    units,
     outputs,
     companions,
     graph_outputs,

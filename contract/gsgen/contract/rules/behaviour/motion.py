@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from gsgen.contract.probing.behaviour_probes import ORDER, STEP_OFFSETS, STEPS
 from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
@@ -13,10 +14,16 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-# The step from the end to the start may be this much larger than its neighbours.
-_MAX_JUMP_RATIO = 3.0
+# The end may differ from the start by this share of a frame's step: 0 in right loops, 1 in those
+# that are a frame short. Of frames that are shown one by one, the last may stay until the end.
+_MAX_JUMP_RATIO, _MAX_STEPPED_JUMP_RATIO = 0.5, 3.0
 # The rounding error, relative to the largest value.
 _ROUNDING = 2e-3
+# The step between two frames is this much larger than all others, and the step from the last frame
+# to the first no more than the second number: 4 and 1 where a sequence is shifted by one frame.
+_MIN_BREAK_RATIO, _MAX_CLOSING_RATIO = 4.0, 2.0
+# Frames are nearly empty with fewer drawn rows than this share of the most; so are at most half.
+_MIN_DRAWN_SHARE, _MAX_EMPTY_SHARE = 0.01, 0.5
 # The largest motion between two pictures, as a fraction of the bounds' diagonal.
 _MAX_POP_FRACTION = 0.1
 
@@ -40,7 +47,8 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
         Viewers wrap around at the end of the range: any difference there is a jump in every loop.
 
     Hint:
-        Let the end of the range show what its start shows, or do not declare "loop".
+        Let the end of the range show what its start shows: divide by the number of frames, not by
+        one less, and take radians, 2 π a turn. Or do not declare "loop".
     """
     runs = behaviour.trial_runs("loop")
     if len(runs) < 4:
@@ -53,9 +61,11 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
             largest_difference(frame_before_end[name], end[name]),
         )
         max_magnitude = float(np.abs(start[name].astype(np.float64)).max(initial=0))
-        if loop_jump > _MAX_JUMP_RATIO * step + _ROUNDING * max_magnitude:
+        is_stepped = not largest_difference(frame_before_end[name], end[name])
+        max_ratio = _MAX_STEPPED_JUMP_RATIO if is_stepped else _MAX_JUMP_RATIO
+        if loop_jump > max_ratio * step + _ROUNDING * max_magnitude:
             actual = f"jumps by up to {loop_jump:.3g} from the end to the start"
-            expected = f"steps like the {step:.3g} before and after"
+            expected = f"the same outputs, where a frame's step before and after is {step:.3g}"
             yield Violation.at(f"output {name}", actual, expected)
 
 
@@ -106,18 +116,20 @@ def _frame_runs(behaviour: Behaviour) -> list[ProbeRun]:
     ]
 
 
-@rule("GB006", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"))
+@rule("GB006", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040", "GB069"))
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
-    """If the manifest declares frames, each frame gives other outputs than the one before.
+    """Each declared frame shows something, gives other outputs than the one before, and follows it.
 
     Why:
-        Rounding time down to one frame less than there are shows a frame twice, and the last one
-        never.
+        A number of frames that is one too small shows a frame twice, and the last one never;
+        numbering from 1 shows the last frame first.
 
     Hint:
-        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
-        stands still for a while, ignore this rule.
+        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1; number frames
+        from 0. If the scene stands still for a while, ignore this rule.
     """
+    yield from _empty_frames(behaviour)
+    yield from _breaks_of_order(behaviour)
     runs = _frame_runs(behaviour)
     within_runs = [run for run in behaviour.trial_runs("within frames") if run.digest]
     repeated_labels = [
@@ -133,7 +145,76 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
 
 
-@rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"))
+def _empty_frames(behaviour: Behaviour) -> Iterator[Violation]:
+    counts = [run.row_count.drawn for run in _frame_runs(behaviour) if run.row_count is not None]
+    empty_count = sum(count <= _MIN_DRAWN_SHARE * max(counts) for count in counts)
+    if len(counts) > 2 and empty_count > _MAX_EMPTY_SHARE * len(counts):
+        actual = (
+            f"in {empty_count} of {len(counts)} frames hardly any row is opaque enough to be drawn, "
+            f"where another shows {max(counts)} rows"
+        )
+        hint = "Widen the window of time in which rows are opaque: check its unit and its width."
+        yield Violation.at(
+            "role time", actual, "rows in most frames", certainty="possible", hint=hint
+        )
+
+
+def _breaks_of_order(behaviour: Behaviour) -> Iterator[Violation]:
+    declared = behaviour.subject.declared_gaussians
+    rows = (
+        [run.outputs.get(declared.name) for run in behaviour.trial_runs(ORDER)] if declared else []
+    )
+    positions = [part[:, POSITION].astype(np.float64) for part in rows if part is not None]
+    if len(positions) < 6 or len({points.shape for points in positions}) > 1:
+        return
+    # Steps 0 → 1 → 2 and F − 3 → F − 2 → F − 1, and from the last frame to the first.
+    steps = [_typical_motion(positions[k], positions[k + 1]) for k in (0, 1, 3, 4)]
+    closing = _typical_motion(positions[-1], positions[0])
+    for number, words in ((0, "the first frame"), (3, "the last frame")):
+        others = max(step for k, step in enumerate(steps) if k != number)
+        if steps[number] > _MIN_BREAK_RATIO * others and closing <= _MAX_CLOSING_RATIO * others:
+            actual = (
+                f"{words} is {steps[number] / max(others, 1e-12):.3g} steps from its neighbour, and "
+                "continues the other end of the sequence: frames are numbered from 1, or one too far"
+            )
+            hint = "Subtract 1 from the frame number, or stop subtracting it: frame 0 is the first."
+            yield Violation.at(
+                "role time", actual, "frames in their order", certainty="possible", hint=hint
+            )
+            return
+
+
+def _typical_motion(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(second - first, axis=1)))
+
+
+@rule("GB069", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI006", "GB040"))
+def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
+    """Where outputs stand still within frames, they change where a frame begins.
+
+    Why:
+        Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
+        the nearest, come too early by up to half of a frame, and the last one never, or too short.
+
+    Hint:
+        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1: neither Round,
+        nor frames − 1.
+    """
+    digests = [run.digest for run in behaviour.trial_runs(STEPS)]
+    count = len(STEP_OFFSETS)
+    if len(digests) != 2 * count or not all(digests):
+        return
+    changes = [earlier != later for earlier, later in pairwise(digests)]
+    within = changes[: count - 1], changes[count:]
+    if not changes[count - 1] and all(sum(part) == 1 for part in within):
+        offset = STEP_OFFSETS[within[0].index(True) + 1]
+        actual = (
+            f"frames change within a declared frame, before {offset:g} of it, and not between two"
+        )
+        yield Violation.at("role time", actual, "frame k from t(k) on")
+
+
+@rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GI006"))
 def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, most frames differ from each other.
 
@@ -147,5 +228,8 @@ def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
     runs = _frame_runs(behaviour)
     distinct_digest_count = len({run.digest for run in runs})
     if len(runs) > 2 and 2 * distinct_digest_count <= len(runs):
-        actual = f"{distinct_digest_count} of {len(runs)} frames differ"
-        yield Violation.at("role time", actual, "distinct frames, as many as declared")
+        actual, hint = f"{distinct_digest_count} of {len(runs)} frames differ", ""
+        if distinct_digest_count == 1:
+            actual += ": the time has no effect"
+            hint = "Export without detaching the time (`.item()`, numpy, its shape alone in use)."
+        yield Violation.at("role time", actual, "distinct frames, as many as declared", hint=hint)

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.causes.pose_readings import explain_turns
 from gsgen.contract.probing.behaviour_probes import JOINTS, ROOT_LABEL
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
@@ -157,6 +156,8 @@ def _faults_of_covariances(
 
 def _fault_of_turn(behaviour: Behaviour) -> str:
     """Return the fault of a body that turns in its rest pose; empty if it has none."""
+    from gsgen.contract.causes.pose_readings import explain_turns
+
     runs, declared = behaviour.trial_runs(JOINTS), behaviour.subject.declared_gaussians
     turned = next((run for run in runs if run.probe.label.endswith(ROOT_LABEL)), None)
     if turned is None or declared is None:

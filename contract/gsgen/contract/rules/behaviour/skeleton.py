@@ -1,18 +1,11 @@
 """Rules of skeletons (GB): joints turn as given, where they stand, and children follow parents."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
-from gsgen.contract.causes.pose_readings import (
-    Reading,
-    angles_of,
-    declared_rotation,
-    explain_turns,
-    rigid_motion,
-)
 from gsgen.contract.probing.behaviour_probes import (
     JOINTS,
     LONG_QUATERNIONS_LABEL,
@@ -26,6 +19,9 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
+
+if TYPE_CHECKING:
+    from gsgen.contract.causes.pose_readings import Reading
 
 # So many rows must turn rigidly with a joint for a statement about it.
 _MIN_ROWS = 12
@@ -77,6 +73,8 @@ class _Turn(NamedTuple):
 
         None if too few rows turn rigidly.
         """
+        from gsgen.contract.causes.pose_readings import rigid_motion
+
         distance = np.linalg.norm(self.turned - self.rest, axis=1)
         fitted = self.moved & np.isfinite(distance)
         for _ in range(_FIT_ROUNDS):
@@ -120,8 +118,10 @@ def _turns(behaviour: Behaviour) -> list[_Turn]:
     return turns
 
 
-def _misread_turns(behaviour: Behaviour) -> tuple[Input, Reading, str] | None:
+def _misread_turns(behaviour: Behaviour) -> "tuple[Input, Reading, str] | None":
     """Return the pose input, the wrong reading that explains turns of joints, and the turns in words."""
+    from gsgen.contract.causes.pose_readings import angles_of, explain_turns
+
     entry = _entry(behaviour)
     motions = [
         (turn.values[0], motion[0])
@@ -220,6 +220,8 @@ def joints_stand_where_declared(behaviour: Behaviour) -> Iterator[Violation]:
         Give each joint's position in the rest pose in local units, from the origin and not from its
         parent, in the order of the rows of the pose.
     """
+    from gsgen.contract.causes.pose_readings import angles_of
+
     entry, size = _entry(behaviour), 0.0
     joints, motions, names = [], [], []
     for turn in _turns(behaviour):
@@ -323,6 +325,8 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
 
 def _is_chain_reversed(turn: _Turn, single_turns: dict[int, _Turn]) -> bool:
     """Return whether rows turn by the rotation of a parent first, and then by that of its child."""
+    from gsgen.contract.causes.pose_readings import angles_of, declared_rotation, rigid_motion
+
     rows = np.ones(len(turn.rest), bool)
     for joint in turn.joints:
         motion = single_turns[joint].motion() if joint in single_turns else None

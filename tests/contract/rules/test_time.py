@@ -1,0 +1,63 @@
+"""Frames begin where the manifest says, follow each other, and loops close."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures.builders.moving import input_driven_model
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validator import validate
+
+FRAMES = 12
+# Ways from the time to a row of a table, and the rule that notices.
+STEPPED = {
+    "floor(time · frames)": ("many = Mul (time, frames) low = Floor (many)", ""),
+    "frames − 1": ("many = Mul (time, last) low = Floor (many)", "GB069"),
+    "rounded": ("many = Mul (time, frames) low = Round (many)", "GB069"),
+    "from one": ("many = Mul (time, frames) near = Floor (many) low = Sub (near, one)", "GB006"),
+    "clamped early": ("many = Mul (time, frames) near = Floor (many) low = Min (near, early)", "GB006"),
+    "in milliseconds": ("small = Mul (time, milli) many = Mul (small, frames) low = Floor (many)", "GB040"),
+}  # fmt: skip
+# Turns of a loop from time 0 to 1, and whether it closes.
+LOOPS = {"whole": (1.0, True), "twice": (2.0, True), "a frame short": (29 / 30, False),
+         "a frame long": (31 / 30, False), "in degrees": (180 / np.pi, False)}  # fmt: skip
+
+
+def rules_broken_by(model: ModelSpec, folder: Path) -> list[str]:
+    path = folder / "m.onnx"
+    model.write(path)
+    findings = validate(path).findings
+    return [finding.rule for finding in findings if finding.severity is not Severity.INFO]
+
+
+@pytest.mark.parametrize("name", STEPPED)
+def test_frames_of_a_table_begin_and_follow_as_declared(name: str, tmp_path: Path) -> None:
+    nodes, rule = STEPPED[name]
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=FRAMES)
+    body = (
+        f"{nodes} kept = Min (low, last) row = Cast <to = 7> (kept) "
+        "shift = Gather <axis = 0> (table, row)"
+    )
+    steps = np.linspace(-0.5, 0.5, FRAMES)[:, None]
+    table = np.hstack([steps, np.sin(3 * steps) / 5, np.cos(steps)]).astype(np.float32)
+    numbers = {"frames": FRAMES, "last": FRAMES - 1, "early": FRAMES - 2, "one": 1, "milli": 1e-3}
+    weights = {key: np.array([value], np.float32) for key, value in numbers.items()}
+    model = input_driven_model("float[1] time", time, body).with_weights(table=table, **weights)
+    assert rules_broken_by(model, tmp_path)[:1] == ([rule] if rule else [])
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_loop_ends_where_it_starts(name: str, tmp_path: Path) -> None:
+    turns, is_closed = LOOPS[name]
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=30, loop=True)
+    body = (
+        "angle = Mul (time, turns) sine = Sin (angle) cosine = Cos (angle) "
+        "place = Concat <axis = 0> (sine, cosine, sine) shift = Mul (place, fifth)"
+    )
+    model = input_driven_model("float[1] time", time, body).with_weights(
+        turns=np.array([2 * np.pi * turns], np.float32), fifth=np.array([0.2], np.float32)
+    )
+    assert rules_broken_by(model, tmp_path)[:1] == ([] if is_closed else ["GB004"])
