@@ -2,6 +2,7 @@
 
 import ast
 import base64
+import hashlib
 import io
 import json
 from pathlib import Path
@@ -63,3 +64,14 @@ def test_the_notebook_is_saved_without_outputs() -> None:
     assert [cell for cell in cells if cell["outputs"] or cell["execution_count"]] == []
     identifiers = [cell["id"] for cell in NOTEBOOK["cells"]]
     assert len(set(identifiers)) == len(identifiers)
+
+
+def test_the_page_shows_what_these_cells_show() -> None:
+    """The stored outputs are of the code as it is; else run `make tutorial`."""
+    outputs = json.loads((DOCS / "assets/tutorial/outputs.json").read_text("utf-8"))
+    code = ""
+    for cell in NOTEBOOK["cells"]:
+        if cell["cell_type"] == "code":
+            code += "".join(cell["source"])
+            digest = hashlib.sha256(code.encode()).hexdigest()[:16]
+            assert outputs[cell["id"]]["digest"] == digest, cell["id"]
