@@ -38,6 +38,9 @@ def sharpened(size: str, nodes: str) -> ModelSpec:
         both=i64(2, 3), lasts=i64(-1, -1), before_firsts=i64(-(10**6), -(10**6)),
         bgr=i64(2, 1, 0), gbr=i64(1, 2, 0), byte=f32(1 / 255), last_shape=i64(1, 8, 12, 3),
         fill=i64(0, 0, 5, 3, 0, 0, 0, 0), zero=np.array(0, np.float32), one=np.array(1, np.float32), channel=i64(1), corner=i64(0, 0), sixteen=i64(16),
+        gamma=f32(2.2), means=np.array([0.485, 0.456, 0.406], np.float32).reshape(1, 3, 1, 1),
+        vignette=np.cos(np.linspace(-1, 1, 32)).astype(np.float32),
+        stripes=np.where(np.arange(32) % 16 < 8, 1, 0.8).astype(np.float32),
         spatial=i64(2), four=i64(4), none=i64(0, 0, 0, 0), halves=i64(2, 2),
     )  # fmt: skip
 
@@ -84,10 +87,24 @@ PICTURE_FAULTS = {
         f"{_PADDED} out = Slice (padded, corner, size, both)",
         "GB063",
     ),
+    "moved by two pixels": (
+        "24,32",
+        "shape = Shape (image) size = Slice (shape, spatial, four) "
+        "padded = Pad (image, fill, zero) out = Slice (padded, corner, size, both)",
+        "GB063",
+    ),
+    "linear numbers": (_ANY, "out = Pow (image, gamma)", "GB072"),
+    "means not added back": (
+        _ANY,
+        "left = Sub (image, means) out = Clip (left, zero, one)",
+        "GB072",
+    ),
+    "stripes": ("24,32", "out = Mul (image, stripes)", "GB072"),
     "bytes expected": ("8,12", "out = Mul (image, byte)", "GB064"),
     "bytes expected at any size": (_ANY, "out = Mul (image, byte)", "GB064"),
 }
 RIGHT_PICTURES = {
+    "a vignette": ("24,32", "out = Mul (image, vignette)"),
     "sharpened": ("8,12", "out = Identity (image)"),
     "sharpened at any size": (_ANY, "out = Identity (image)"),
     "inverted": (_ANY, "out = Sub (one, image)"),
@@ -130,6 +147,16 @@ def test_networks_with_random_weights_pass(seed: int, tmp_path: Path) -> None:
     assert not findings(
         darken(_ANY).replace_text(_NETWORK, nodes).with_weights(**numbers), tmp_path
     )
+
+
+def test_a_product_with_alpha_is_noticed(tmp_path: Path) -> None:
+    model = darken().replace_text("float[1,3,8,12] image", "float[1,4,8,12] image")
+    nodes = "colors = Slice (image, first, last, axis) {}"
+    numbers = {"first": i64(0), "last": i64(3), "end": i64(4), "axis": i64(1)}
+    times = "alpha = Slice (image, last, end, axis) out = Mul (colors, alpha)"
+    for rest, expected in ((times, {"GB072"}), ("out = Mul (colors, amount)", set())):
+        changed = model.replace_text(_NETWORK, nodes.format(rest)).with_weights(**numbers)
+        assert findings(changed, tmp_path) == expected
 
 
 def test_an_enlarged_picture_upside_down_is_noticed(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ _TWICE = "Do not encode the colours again: the picture is sRGB-encoded already."
 _MEANS = "Add the means back after the network, times the deviations where those were divided by."
 _SIGNED = "Declare the image's range as [-1, 1], or map [0, 1] to [-1, 1] inside the model."
 _ORDER = "Keep the order red, green, blue, of the picture and of the result."
-# The mistake → what becomes of the picture's colours, and the repair.
+# The mistake → the function of the picture's colours, and the repair.
 _READINGS: Final[dict[str, tuple[Callable[[Colors], Colors], str]]] = {
     **{
         f"channels come in the order {' '.join('RGB'[channel] for channel in order)}": (

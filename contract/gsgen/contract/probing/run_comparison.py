@@ -13,7 +13,7 @@ __all__ = [
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -107,6 +107,7 @@ class Behaviour:
         varied: Role → runs that differ in that role's inputs alone.
         trial: The runs themselves.
         unfinished_probes: Requested extra probes that did not run: label, and the reached limit.
+        readings: What rules compute of the same runs, by name; shared by the copies for each rule.
     """
 
     subject: InspectedModel
@@ -115,6 +116,7 @@ class Behaviour:
     comparisons_by_role: dict[str, tuple[Comparison, ...]]
     trial: ProbeRuns
     unfinished_probes: list[tuple[str, str]] = field(default_factory=list)
+    readings: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def without_unfinished(self) -> "Behaviour":
         """Copy the comparisons of model runs for one rule; its list of unfinished runs is empty."""

@@ -257,9 +257,18 @@ def _read_scene(behaviour: Behaviour) -> _Scene | None:
     manifest = behaviour.subject.generator
     if manifest is None or manifest.outputs.gaussians is None:
         return None
+    drawn = list(_drawn_by_cameras(behaviour, manifest))  # each rule notes runs that are missing
+    if "scene" not in behaviour.readings:
+        behaviour.readings["scene"] = _scene_of_cameras(manifest, drawn)
+    scene: _Scene | None = behaviour.readings["scene"]
+    return scene
+
+
+def _scene_of_cameras(
+    manifest: GeneratorManifest, drawn: list[tuple[Probe, Float[np.ndarray, "n 10"]]]
+) -> _Scene | None:
     from gsgen.contract.probing.row_screen import row_keys
 
-    drawn = list(_drawn_by_cameras(behaviour, manifest))
     keys = [row_keys(rows[:, POSITION]) for _, rows in drawn]
     if len(drawn) < 2 or all(np.array_equal(own, keys[0]) for own in keys):
         return None

@@ -27,9 +27,10 @@ MAX_FITTING_DEVIATION = 0.3
 RANDOM_DEVIATION = 1 / 3
 
 # A disc has a shortest axis below this fraction of its middle one, a needle a middle axis below
-# this fraction of its longest; there is an alignment if most rows are discs or needles.
+# this fraction of its longest; there is an alignment if most rows are discs or needles, or many
+# rows discs where neighbours form no line.
 _MAX_FLATNESS = 0.5
-_MIN_SHAPE_SHARE = 0.6
+_MIN_SHAPE_SHARE, _MIN_DISC_SHARE = 0.6, 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Alignment:
     Attributes:
         deviation: 0 where each disc lies in the plane of its neighbours, and each needle on their
             line; 1 for directions drawn at random. Right scenes have 0.01 to 0.40, wrong
-            quaternions and axes 0.61 to 1.3.
+            quaternions and axes 0.49 to 1.3.
         axis: The axis that is compared: 0 is the thinnest, 2 the longest.
         shape: What the neighbours form.
     """
@@ -53,7 +54,11 @@ def measure_alignment(sample: DrawnSample) -> Alignment | None:
     """Measure how discs or needles align with neighbouring Gaussians; None without such shapes."""
     scatter = sample.scatter_eigenvalues
     disc_mask, needle_mask = is_of_shape(sample, 0), is_of_shape(sample, 2)
-    if _has_enough_rows(disc_mask) and (limit := scatter[disc_mask, 0].mean()) < MAX_PLANAR_SCATTER:
+    disc_share = _MIN_SHAPE_SHARE if sample.is_linear else _MIN_DISC_SHARE
+    if (
+        _has_enough_rows(disc_mask, disc_share)
+        and (limit := scatter[disc_mask, 0].mean()) < MAX_PLANAR_SCATTER
+    ):
         share = sample.neighbour_alignment(0)[disc_mask].mean()
         return Alignment(float((share - limit) / (RANDOM_DEVIATION - limit)), 0, "plane")
     if (
@@ -75,5 +80,5 @@ def is_of_shape(sample: DrawnSample, axis: Literal[0, 2]) -> Bool[np.ndarray, " 
     )
 
 
-def _has_enough_rows(mask: Bool[np.ndarray, " m"]) -> bool:
-    return bool(mask.mean() >= _MIN_SHAPE_SHARE and np.count_nonzero(mask) >= MIN_DRAWN_ROWS // 2)
+def _has_enough_rows(mask: Bool[np.ndarray, " m"], share: float = _MIN_SHAPE_SHARE) -> bool:
+    return bool(mask.mean() >= share and np.count_nonzero(mask) >= MIN_DRAWN_ROWS // 2)

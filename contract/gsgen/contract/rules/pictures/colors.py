@@ -176,6 +176,9 @@ _MIN_ZERO_SHARE, _MAX_RGB_WITHOUT_OFFSET, _DARK_PERCENTILE = 0.15, 0.55, 99
 # Scenes of a few chosen colours say nothing: they may well have zeros, and none above a half.
 _MIN_DISTINCT_COLORS = 32
 _MAX_COLOR_DIVIDED_TWICE = 1.02 / 255
+# SH coefficients that were clipped to colours: of right scenes up to 0.1 of the channels are exactly
+# 0 while others are exactly 1; of clipped coefficients 0.3 or more are 0, and 0.03 or more are 1.
+_MIN_CLIPPED_ZEROS, _MIN_CLIPPED_ONES = 0.25, 0.02
 
 
 @rule("GV063", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES, "GV012", "GV046"))
@@ -214,4 +217,7 @@ def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> str:
     is_dark_image = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET
     if zeros >= _MIN_ZERO_SHARE and is_dark_image and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
         return "0.5 had not been added to 0.2821 · f_dc"
+    is_clipped = zeros >= _MIN_CLIPPED_ZEROS and float((rgb == 1).mean()) >= _MIN_CLIPPED_ONES
+    if is_clipped and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
+        return "f_dc had been clipped to 0 to 1 in place of 0.5 + 0.2821 · f_dc"
     return ""

@@ -70,7 +70,7 @@ _KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], Si
             (0.0, _SMALL_SIZE_RATIO),
             revert_mistake,
         )
-        for factor, revert_mistake in ((1000, _scale_by_factor(1000)), (100, _scale_by_factor(100)))
+        for factor, revert_mistake in ((f, _scale_by_factor(f)) for f in (1000, 100, 10))
     ),
     (
         "positions and variances were both multiplied by 100",

@@ -72,7 +72,7 @@ def pictures_come_back(behaviour: Behaviour) -> Iterator[Violation]:
 
     Why:
         Libraries differ in channels, range and encoding of colours, order and middle of pixels. A
-        colour that differs from its pixel's by such a change was made by it; others are not judged.
+        colour that differs from its pixel's by such a change was made by it; others are left out.
 
     Hint:
         Pictures are [V, 3, height, width] with red first, sRGB-encoded; pixel (0, 0) has its middle

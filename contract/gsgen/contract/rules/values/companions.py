@@ -1,6 +1,6 @@
 """Validation rules of post-process models: finite images of the declared size, range and place."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import permutations
 
 import numpy as np
@@ -113,10 +113,11 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
 # fit nearly so well, and better by far: turned, mirrored and exchanged pictures have 0.9 to 1, and
 # −0.3 to 0.4 as they are; networks with random weights fit no other version by more than 0.34.
 _MIN_OTHER_CORRELATION, _MIN_CORRELATION_MARGIN = 0.7, 0.3
-# Edges of pictures of odd sizes fit best where they were: right models are off by 0 pixels, crops
-# and paddings on the wrong side by 1 to 32.
+# Edges of pictures of odd sizes, and of the first probes, fit best where they were: right models are
+# off by 0 pixels, crops and paddings on the wrong side by 1 to 32.
 _MIN_SHIFT, _MAX_SHIFT = 1, 32
 _MIN_SHIFT_CORRELATION, _MIN_SHIFT_MARGIN = 0.5, 0.2
+_VALUE_PICTURES = 2
 # Of the picture's contrast, 0.12 are left by networks with random weights, 0.5 by one that darkens,
 # and 0.004 where 0 to 1 is taken for 0 to 255.
 _MIN_CONTRAST_SHARE = 0.02
@@ -148,7 +149,10 @@ def picture_keeps_its_place(behaviour: Behaviour) -> Iterator[Violation]:
         )
         yield _violation(behaviour, actual, "the picture as it is", as_it_is)
         return
-    for run, picture, result in _pictures_of_group(behaviour, "open sizes"):
+    values = [run for run in behaviour.values if not run.probe.zeros][:_VALUE_PICTURES]
+    for run, picture, result in _pictures_of(
+        behaviour, [*behaviour.trial_runs("open sizes"), *values]
+    ):
         (down, right), best, in_place = _best_shift(picture, result)
         if max(abs(down), abs(right)) >= _MIN_SHIFT and best >= max(
             _MIN_SHIFT_CORRELATION, abs(in_place) + _MIN_SHIFT_MARGIN
@@ -193,6 +197,104 @@ def picture_keeps_contrast(behaviour: Behaviour) -> Iterator[Violation]:
             return
 
 
+# Pictures with an alpha at random: their product fits the result so well, and better by far.
+_MIN_PRODUCT_CORRELATION, _MIN_PRODUCT_MARGIN = 0.85, 0.15
+# A uniform picture comes out in stripes: its columns or rows differ by steps of a hundredth of the
+# range or more at some lines, at two of five at most, and by a tenth of that elsewhere. An eighth at
+# each border is left out, where a convolution meets the padding.
+_MIN_SEAM, _MAX_SEAM_SHARE, _BORDER = 0.01, 0.4, 8
+
+
+@rule(
+    "GB072",
+    Severity.WARNING,
+    needs=(*REPRODUCIBLE, "GV055", "GV056", "GB063", "GB064"),
+    kinds=(POST_PROCESS,),
+)
+def picture_keeps_its_colors(behaviour: Behaviour) -> Iterator[Violation]:
+    """A picture comes out sRGB-encoded, without a tint or a product with alpha, and uniform if it was.
+
+    Why:
+        Networks take pictures normalised in their own way. Means that are subtracted and not added back
+        tint the picture, linear numbers darken it, and tiles that are normalised alone have seams.
+
+    Hint:
+        Undo at the end what the model does to the picture at its beginning: means, deviations,
+        range and curve. Normalise the whole picture, not its tiles.
+    """
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, PostProcessManifest)
+    where, output = f"output {manifest.outputs.image.name}", manifest.outputs.image
+    from gsgen.contract.causes.picture_colors import MIN_DECLARED_ERROR, explain_colors
+
+    for run, picture, result in _shown_pictures(behaviour):
+        before, after = (
+            ((image - low) / (high - low)).reshape(3, -1).T
+            for image, (low, high) in ((picture, manifest.image_range), (result, output.range))
+        )
+        reading = explain_colors(before, after)
+        if reading is not None:
+            yield Violation.at(
+                where,
+                f"{reading.name}: half of the pixels differ at {run.probe.label!r}",
+                "the picture's colours",
+                certainty="possible",
+                statistic=Statistic("error over contrast", reading.declared, 0, MIN_DECLARED_ERROR),
+                hint=reading.hint,
+            )
+            return
+    yield from _products_with_alpha(behaviour, where)
+    for run, _, result in _pictures_of(behaviour, behaviour.trial_runs("pictures")):
+        image = next(iter(behaviour.subject.inputs_of("image")))[0]
+        if np.ptp(run.probe.inputs[image.name]) == 0 and (words := _seams(result, output.range)):
+            actual = f"{words} of {run.probe.label!r} differ in stripes"
+            yield Violation.at(where, actual, "one colour", certainty="possible")
+            return
+
+
+def _products_with_alpha(behaviour: Behaviour, where: str) -> Iterator[Violation]:
+    """Yield a violation if the result fits the product of colours and alpha, and not the colours."""
+    image = next(iter(behaviour.subject.inputs_of("image")))[0]
+    runs = [run for run in behaviour.values if not run.probe.zeros][:_VALUE_PICTURES]
+    for run, picture, result in _pictures_of(behaviour, runs):
+        alpha = run.probe.inputs[image.name][0, 3:]
+        if not len(alpha) or not np.ptp(alpha):
+            return
+        product, plain = _correlation(picture * alpha, result), _correlation(picture, result)
+        if product >= max(_MIN_PRODUCT_CORRELATION, plain + _MIN_PRODUCT_MARGIN):
+            actual = (
+                f"colours multiplied by alpha: the result at {run.probe.label!r} has the "
+                f"correlation {product:.2f} with the product, and {plain:.2f} with the picture"
+            )
+            hint = "Take the first three channels as they are: they are not multiplied by alpha."
+            yield Violation.at(where, actual, "the colours", certainty="possible", hint=hint)
+            return
+
+
+def _seams(result: Picture, span: tuple[float, float]) -> str:
+    """Return whether columns or rows of a uniform picture's result differ in stripes, or nothing."""
+    height, width = result.shape[1:]
+    inner = result[
+        :,
+        height // _BORDER : -(height // _BORDER) or None,
+        width // _BORDER : -(width // _BORDER) or None,
+    ]
+    limit = _MIN_SEAM * (span[1] - span[0])
+    for words, axis in (("columns", 1), ("rows", 2)):
+        lines = inner.mean(axis=axis, keepdims=True)
+        if float(np.abs(inner - lines).max(initial=0)) > limit / 10:
+            continue
+        steps = np.abs(np.diff(lines.reshape(3, -1), axis=1)).max(axis=0, initial=0)
+        is_seam = steps > limit
+        if (
+            is_seam.any()
+            and is_seam.mean() <= _MAX_SEAM_SHARE
+            and not (steps[~is_seam] > limit / 10).any()
+        ):
+            return words
+    return ""
+
+
 def _violation(behaviour: Behaviour, actual: str, expected: str, correlation: float) -> Violation:
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, PostProcessManifest)
@@ -209,23 +311,21 @@ def _shown_pictures(behaviour: Behaviour) -> Iterator[tuple[ProbeRun, Picture, P
     """Yield the run with another gradient in each channel, its picture and its result."""
     from gsgen.contract.probing.picture_probes import CHANNEL_GRADIENTS
 
-    for run, picture, result in _pictures_of_group(behaviour, "pictures"):
-        if run.probe.label == CHANNEL_GRADIENTS:
-            yield run, picture, result
+    runs = behaviour.trial_runs("pictures")
+    yield from _pictures_of(
+        behaviour, [run for run in runs if run.probe.label == CHANNEL_GRADIENTS]
+    )
 
 
-def _pictures_of_group(
-    behaviour: Behaviour, group: str
+def _pictures_of(
+    behaviour: Behaviour, runs: Iterable[ProbeRun]
 ) -> Iterator[tuple[ProbeRun, Picture, Picture]]:
-    """Yield the runs of a group of named moments, with the colours of picture and result.
-
-    Results are reduced to the size of the picture.
-    """
+    """Yield runs with the colours of picture and result, which is reduced to the picture's size."""
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, PostProcessManifest)
     image = next(entry for entry in manifest.inputs if entry.role == "image")
     output = manifest.outputs.image
-    for run in behaviour.trial_runs(group):
+    for run in runs:
         picture, result = run.probe.inputs[image.name], run.outputs.get(output.name)
         if result is None or min(picture.shape[1], result.shape[1]) < 3:
             continue
@@ -248,7 +348,7 @@ def _best_other_version(picture: Picture, result: Picture) -> tuple[str, float]:
         "upside down": picture[:, ::-1],
         "mirrored": picture[:, :, ::-1],
         "turned by half a turn": picture[:, ::-1, ::-1],
-        "with height and width exchanged": picture.swapaxes(1, 2).reshape(shape),
+        "transposed, with height and width exchanged": picture.swapaxes(1, 2).reshape(shape),
         "with channels written last": picture.transpose(1, 2, 0).reshape(shape),
         "with channels read last": picture.reshape(*shape[1:], 3).transpose(2, 0, 1),
     }

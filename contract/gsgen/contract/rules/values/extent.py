@@ -175,7 +175,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     )
 
 
-@rule("GV020", Severity.INFO, needs=PACKED_ROWS)
+@rule("GV020", Severity.WARNING, needs=PACKED_ROWS)
 def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """Drawn Gaussians (rows) are not copies of each other.
 
