@@ -189,12 +189,6 @@ def sog_archives(folder: Path) -> Files:
     }
     members = sog_files(bands=2, seed=1)
     files["in a folder.sog"] = zipped({f"scene/{name}": data for name, data in members.items()})
-    write_sog(folder / "streamed" / "lod-meta.json", random_splats(1, 3000))
-    for path in (folder / "streamed").rglob("*"):
-        if path.is_file():
-            files[f"streamed/{path.relative_to(folder / 'streamed').as_posix()}"] = (
-                path.read_bytes()
-            )
     return files
 
 
@@ -215,7 +209,6 @@ def other_files(folder: Path) -> Files:
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Files, Path]:
     """Return all files, and the folder that holds them."""
     scratch, folder = (tmp_path_factory.mktemp(name) for name in ("scratch", "files"))
-    (scratch / "streamed").mkdir()
     files = {}
     for make in (ply_files, spz_files, glb_files, sog_archives, other_files):
         files |= make(scratch)
@@ -227,10 +220,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Files, Path]:
 
 def cases(files: Files) -> list[str]:
     """Return the names of the files that are opened, without those that others refer to."""
-    return [
-        name for name in files if not name.endswith(".bin")
-        if "/" not in name or name.endswith("/lod-meta.json")
-    ]  # fmt: skip
+    return [name for name in files if not name.endswith(".bin") and "/" not in name]
 
 
 def expected_rows(path: Path, transform: np.ndarray) -> tuple[SplatData, Any]:

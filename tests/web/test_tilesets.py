@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsgen.formats import write_ply
+from gsgen.formats import Splats, open_splats, write_ply, write_sog
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
@@ -241,6 +241,34 @@ def test_a_page_draws_coarse_files_first_and_the_finest_in_the_end(
     drawing = renderer.draw(Scene([part for parts in sets.values() for part in parts]), CAMERAS[0])
     words = renderer.device.read(drawing.image, np.float32, 4 * _SIZE["width"] * _SIZE["height"])
     np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-4)
+
+
+def test_a_page_streams_the_leaves_of_a_lod_meta(
+    site: WebSite, renderer: Renderer, tmp_path: Path
+) -> None:
+    """Each level of a leaf is a tile, the coarsest first; in the end the finest are drawn."""
+    write_sog(tmp_path / "lod-meta.json", knot(9_000, degree=1))
+    site.requests.clear()
+    for path in filter(Path.is_file, tmp_path.rglob("*")):
+        site.contents[f"/lod/{path.relative_to(tmp_path).as_posix()}"] = path.read_bytes()
+    cameras = [camera_of(camera) for camera in CAMERAS[:1]]
+    options = {"maxError": 0.05, "maxSplats": 40 * _SLOT_ROWS}
+    address = f"{site.address}/lod/lod-meta.json"
+    result = site.call("tilesetFrames", address, cameras, options)
+    assert (result["failures"], result["errors"]) == ([], [])
+    asked = list(dict.fromkeys(uri for uri in site.requests if uri.endswith("/meta.json")))
+    levels = [int(uri.split("/")[2].split("_")[0]) for uri in asked[1:]]
+    assert len(levels) > 2
+    assert levels == sorted(levels, reverse=True)
+    [frame] = result["frames"]
+    splats = open_splats(tmp_path / "lod-meta.json")
+    assert isinstance(splats, Splats)
+    assert frame["live"] == len(splats)
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    scene = Scene([SplatSet(SplatData.from_splats(splats), upright)])
+    drawing = renderer.draw(scene, CAMERAS[0])
+    words = renderer.device.read(drawing.image, np.float32, 4 * _SIZE["width"] * _SIZE["height"])
+    np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-3)
 
 
 def foreign_tree(folder: Path, rng: np.random.Generator, dimensions: int) -> Path:

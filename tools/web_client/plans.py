@@ -30,6 +30,7 @@ from gsgen.tiles.prediction.prefetch import (
     PLAN_INTERVAL_SECONDS,
     PREDICTION_HORIZON,
 )
+from gsgen.tiles.streaming.drawing import FADE_SECONDS, MAX_STEP_SECONDS
 from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.planner import (
     CANCEL_PRIORITY_FRACTION,
@@ -134,6 +135,8 @@ def plans_document() -> dict[str, Any]:
             "velocitySeconds": VELOCITY_WINDOW,
             "turnSeconds": TURN_SECONDS,
             "retrySeconds": RETRY_AFTER,
+            "fadeSeconds": FADE_SECONDS,
+            "fadeStep": MAX_STEP_SECONDS,
         },
         "present": {
             "module": module,

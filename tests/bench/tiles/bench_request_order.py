@@ -9,12 +9,11 @@ The first policy is that of viewers of 3D Tiles, the third is ours. GSGEN_BENCH_
 of the town (1,000,000); GSGEN_BENCH_TOWN names a folder with a tileset to use in its place.
 """
 
-import functools
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from gsgen.formats.shared.origins import join_splats
 from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.tiles.format.tileset import Tileset
 from gsgen.tiles.loading.leaves import read_tile_content
 from gsgen.tiles.loading.quality_ladder import QualityLadder, quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
@@ -35,6 +35,7 @@ from gsgen.tiles.selection.request_order import finer_file_order, missing_tiles,
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
 from gsgen.tiles.stores.opening import open_store
+from gsgen.tiles.stores.store import Store
 from gsgen.tiles.streaming.drawing import drawable_tiles
 from support.measures import print_figure
 from support.reports.pages import DOCS, blocks
@@ -301,27 +302,52 @@ def town(folder: Path) -> str:
     return str(folder / "town")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Town:
+    """The tileset that is streamed, and pictures of files of its tiles."""
+
+    address: str
+    store: Store
+    tileset: Tileset
+    tree: TileTree
+    ladder: QualityLadder
+    renderer: Renderer
+    contents: dict[tuple[int, int], Splats] = field(default_factory=dict)
+
+    @classmethod
+    def open(cls, address: str) -> "Town":
+        store, index = open_store(address)
+        tileset = load_tileset(store, index)
+        ladder = quality_ladder(tileset)
+        assert ladder is not None
+        tree = TileTree.of_tileset(tileset, store)
+        return cls(
+            address=address,
+            store=store,
+            tileset=tileset,
+            tree=tree,
+            ladder=ladder,
+            renderer=Renderer(),
+        )
+
+    def _content(self, row: int, quality: int) -> Splats:
+        if (row, quality) not in self.contents:
+            tile = self.tree.tiles[row]
+            file = replace(tile.contents[0], uri=self.ladder.files[row][quality])
+            parts = read_tile_content(self.store, self.tileset, tile, file)
+            splats = join_splats([part.relative_to_origin(np.zeros(3)) for part in parts])
+            self.contents[row, quality] = splats
+        return self.contents[row, quality]
+
+    def image(self, pose: Pose, files: Sequence[tuple[int, int]]) -> np.ndarray:
+        """Draw files, each a tile and a quality, from a camera."""
+        splats = join_splats([self._content(*file) for file in files])
+        return picture(self.renderer, splats, camera_of(pose))
+
+
 def bench_request_order(tmp_path: Path) -> None:
-    store, index = open_store(town(tmp_path))
-    tileset = load_tileset(store, index)
-    tree, ladder, renderer = (
-        TileTree.of_tileset(tileset, store),
-        quality_ladder(tileset),
-        Renderer(),
-    )
-    assert ladder is not None
-
-    @functools.cache
-    def content(row: int, quality: int) -> Splats:
-        from dataclasses import replace
-
-        tile = tree.tiles[row]
-        file = replace(tile.contents[0], uri=ladder.files[row][quality])
-        parts = read_tile_content(store, tileset, tile, file)
-        return join_splats([part.relative_to_origin(np.zeros(3)) for part in parts])
-
-    def image(pose: Pose, files: Sequence[tuple[int, int]]) -> np.ndarray:
-        return picture(renderer, join_splats([content(*file) for file in files]), camera_of(pose))
+    scene = Town.open(town(tmp_path))
+    tree, ladder, image = scene.tree, scene.ladder, scene.image
 
     runs = {
         (policy.__name__, journey, network): stream(tree, ladder, path, trace, policy)

@@ -49,7 +49,7 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
     const errors = new Map(seen.map(([index, error]) => [tiles[index], error ?? Infinity]));
     planner.frame(time, errors, isLoaded);
     const drawn = [...errors.keys()].filter(isLoaded);
-    planner.fill(isLoaded, finerOrder(drawn, [0, 0, 0]), () => candidates.map((index) => tiles[index]));
+    planner.fill(isLoaded, finerOrder(drawn, [0, 0, 0]), candidates.map((index) => tiles[index]));
     log.push(planner.received);
   }
   return log;

@@ -221,7 +221,7 @@ export async function tilesetFrames(address, cameras, options) {
   const tileset = await (await fetch(address)).arrayBuffer();
   const onError = ({ message }) => failures.push(message);
   const model = await openModel(kernels, tileset, address, {
-    ...options, source: address, onChange() {}, onError,
+    fades: false, ...options, source: address, onChange() {}, onError,
   });
   const renderer = new Renderer(kernels);
   renderer.setScene(model.sets);
@@ -250,6 +250,54 @@ export async function tilesetFrames(address, cameras, options) {
   renderer.destroy();
   model.destroy();
   return { frames, failures, extent: model.extent, up: model.up, errors: errors.splice(0) };
+}
+
+/**
+ * Stream a tileset along a journey in real time; draw what has come at some moments.
+ * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, drawn: any, options: any}} journey
+ *     `views` are world → camera, so many a second; tiles are chosen for `camera`, and pictures drawn with `drawn`.
+ */
+export async function streamedJourney({ address, views, rate, moments, camera, drawn, slowness, options }) {
+  const { kernels } = await opening();
+  // The page's clock goes slower, as the server does: the machine has to keep up with neither.
+  performance.now = () => Performance.prototype.now.call(performance) / slowness;
+  const tileset = await (await fetch(address)).arrayBuffer();
+  const failures = [];
+  const onError = ({ message }) => failures.push(message);
+  const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
+  const begin = performance.now();
+  let isChanged = true;
+  const model = await openModel(kernels, tileset, address, { ...options, source: address, onChange: () => (isChanged = true), onError });
+  const renderer = new Renderer(kernels);
+  renderer.setScene(model.sets);
+  const shots = [];
+  const left = [...moments];
+  let [frame, frames, holes, shooting] = [-1, 0, 0, Promise.resolve()];
+  for (;;) {
+    const now = (performance.now() - begin) / 1000;
+    const next = Math.floor(now * rate);
+    if (next >= views.length) break;
+    if (next > frame || isChanged) {
+      isChanged = false;
+      await model.update({}, { ...camera, view: views[next] });
+      if (next > frame) [frames, holes] = [frames + 1, holes + Number(model.statistics.holes > 0)];
+      frame = next;
+      if (now >= left[0]) {
+        const moment = left.shift();
+        const { statistics } = model;
+        const files = model.drawn.flatMap(({ quality, files: [...names], uris }) => names[quality]?.uri ?? uris);
+        await renderer.draw({ ...drawn, view: views[next] });
+        shooting = renderer.readImage("color").then((image) => shots.push({ moment, now, statistics, frame: next, files, image: textOf(image) }));
+      }
+    }
+    await wait(5);
+  }
+  await shooting;
+  delete performance.now;
+  const { statistics } = model;
+  renderer.destroy();
+  model.destroy();
+  return { shots, failures, frames, holes, statistics };
 }
 
 /** Draw sets in several sizes with one renderer; return the images, and how many buffers each size took. */

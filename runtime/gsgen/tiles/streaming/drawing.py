@@ -11,8 +11,8 @@ from gsgen.tiles.selection.cut import TileCut
 from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
-# A window that stood still draws its next frame late: a fade that begins then must not be over.
-_MAX_STEP_SECONDS: Final = 1 / 15
+MAX_STEP_SECONDS: Final = 1 / 15
+"""Of a frame: a window that stood still draws its next one late, and a fade is not over then."""
 
 
 def drawable_tiles(
@@ -96,7 +96,7 @@ class TileFades:
         """
         step = 1.0
         if self._seconds > 0 and self._time is not None:
-            step = min(time - self._time, _MAX_STEP_SECONDS) / self._seconds
+            step = min(time - self._time, MAX_STEP_SECONDS) / self._seconds
         self._time = time
         visible = self._fade_by_tile > 0
         # Only a tile with a visible one above or below it takes the place of something.

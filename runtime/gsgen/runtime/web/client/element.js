@@ -138,6 +138,11 @@ export class GsgenModel extends ModelControls {
     return this._file?.address ?? "";
   }
 
+  /** Of tilesets, how many tiles and bytes have come; null of other models. */
+  get statistics() {
+    return this._shown?.model.statistics ?? null;
+  }
+
   /** @param {State} state */
   _enter(state) {
     if (state === this._state) return;

@@ -19,8 +19,8 @@ import { SplatBuffers } from "./splat_buffers.js";
  * @property {any[]} inputs The inputs that a visitor may set.
  * @property {boolean} followsCamera
  * @property {readonly number[]} [frame] From the axes that a scene file places to those of the sets.
- * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
- *     frame; true if the pages are others than before.
+ * @property {(values: Record<string, any>, camera: any, path?: ((seconds: number) => any) | null) => Promise<boolean>} update
+ *     Computes a frame; true if the pages are others than before. The path is the camera in some seconds.
  * @property {() => void} destroy
  * @property {number} [missingPictures] How many pictures the model needs before it can be shown.
  * @property {any} [manifest] Of generators, with the findings of rules.
@@ -31,6 +31,7 @@ import { SplatBuffers } from "./splat_buffers.js";
  * @property {import("./scene_file.js").SceneAnnotation[]} [annotations] Of scenes.
  * @property {(camera: any, output: string) => Promise<any>} [surfaces] Of scenes: options with which a renderer
  *     draws meshes among the Gaussians.
+ * @property {import("./tileset.js").Statistics | null} [statistics] Of tilesets.
  * @property {(seconds: number) => any} [cameraAt] Of scenes: the orbit at a time; null without one.
  */
 
@@ -99,7 +100,8 @@ class StillModel {
  * @property {(loaded: number, total: number) => void} [onProgress]
  * @property {AbortSignal} [signal]
  * @property {number} [maxError] Error in pixels above which tiles are refined.
- * @property {number} [maxSplats] Most Gaussians in GPU memory.
+ * @property {number} [maxSplats] Most Gaussians of the page's tilesets in GPU memory.
+ * @property {boolean} [fades] Whether tiles fade into those that replace them; true.
  * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
  * @property {string} [imageCameras] Address of the cameras of these pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.

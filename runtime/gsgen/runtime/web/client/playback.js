@@ -69,11 +69,15 @@ export class Playback {
     if (this.paused) return false;
     const seconds = this._last ? Math.min((now - this._last) / 1000, LONGEST_STEP) : 0;
     this._last = now;
-    const time = this._time + seconds * this.rate;
-    const { duration } = this;
-    if (this.loop) this._time = ((time % duration) + duration) % duration;
-    else this.currentTime = time;
+    this._time = this.timeIn(seconds);
     this.paused = this.ended;
     return true;
+  }
+
+  /** Return the time in some seconds of the page's clock. */
+  timeIn(seconds) {
+    const { duration, loop } = this;
+    const time = this._time + seconds * this.rate;
+    return loop ? ((time % duration) + duration) % duration : Math.min(Math.max(time, 0), duration);
   }
 }

@@ -60,11 +60,23 @@ export class PlacedModel {
     return this.orbit.camera(width, height);
   }
 
+  /** Return the camera in some seconds, where a timeline that plays has cameras. */
+  _cameraIn(seconds, { width, height }) {
+    const { model, playback } = this;
+    const place = playback && model.cameraAt?.(playback.timeIn(seconds));
+    if (!place) return null;
+    const orbit = Object.assign(Object.create(OrbitCamera.prototype), this.orbit);
+    orbit.move(place);
+    return orbit.camera(width, height);
+  }
+
   /** Compute the Gaussians of the present time; return whether the pages are others than before. */
   async _update(camera, inputs) {
     const { model, playback } = this;
+    const hasPath = playback && !playback.paused && this._cameraIn(0, camera);
     const time = playback && model.time ? { [model.time.name]: playback.value } : {};
-    const isChanged = await model.update({ ...time, ...inputs }, camera);
+    const path = hasPath ? (seconds) => this._cameraIn(seconds, camera) : null;
+    const isChanged = await model.update({ ...time, ...inputs }, camera, path);
     if (!this.isDestroyed) this.isStale = false;
     return isChanged;
   }

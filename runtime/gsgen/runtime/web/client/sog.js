@@ -2,11 +2,16 @@
 
 import { parsedJson } from "./download.js";
 import { GsgenError, failing } from "./errors.js";
+import { remembered } from "./once.js";
 import { RowWriter, SHARE_LOGITS, setFromLargest, turn } from "./row_writer.js";
 
 const PALETTE_WIDTH = 64; // entries in a row of the image of harmonics
 const FIRST_TAG = 252; // alpha of a quaternion whose largest part is the first
 const AGAIN = "Download it again, or convert it: gsgen convert FILE model.spz";
+
+/** The images of files of which parts are read. @type {Map<string, Promise<any>>} */
+const decoded = new Map();
+const MOST_DECODED = 4;
 
 /** @type {WebGL2RenderingContext | null} */
 let context = null;
@@ -36,61 +41,29 @@ async function pixelsOf(data, needed, fail) {
 }
 
 /** Read a zipped SOG, whose archive may hold the name of its folder, too. */
-export async function readSog(files, name, { sink }) {
+export async function readSog(files, name, context) {
   const meta = [...files.keys()].filter((file) => file.split("/").pop() === "meta.json");
   const folder = meta.reduce((best, file) => (file.length < best.length ? file : best)).slice(0, -"meta.json".length);
   const fetchBytes = (file) => {
     const entry = files.get(folder + file) ?? failing(name, AGAIN)(`has no file ${file}`);
     return entry.open().rest();
   };
-  await writeSog(parsedJson(await fetchBytes("meta.json")), fetchBytes, name, sink);
+  await writeSog(parsedJson(await fetchBytes("meta.json")), fetchBytes, name, context);
 }
 
 /** @param {import("./byte_source.js").ByteSource} source @param {import("./splat_files.js").Context} context */
 export async function readSogMeta(source, context) {
-  const { sink, beside } = context;
-  const meta = parsedJson(await source.rest());
-  if (!meta.lodLevels && !meta.tree) return writeSog(meta, (file) => beside(file), source.name, sink);
-  const ranges = finestRanges(meta, source.name);
-  const inner = async (path, rows) => {
-    const folder = path.slice(0, path.lastIndexOf("/") + 1);
-    const own = parsedJson(await beside(path));
-    if (!own?.means) failing(path, AGAIN)("is not the meta.json of a SOG");
-    await writeSog(own, (file) => beside(folder + file), path, sink, rows);
-  };
-  for (const [path, rows] of ranges) await inner(path, rows);
-  if (meta.environment) await inner(meta.environment, null);
+  await writeSog(parsedJson(await source.rest()), context.beside, source.name, context);
 }
 
-/** Return the rows of each file that the finest level of a streamed SOG has. */
-function finestRanges({ filenames, tree }, name) {
-  const fail = failing(name, "Download it again.");
-  if (!Array.isArray(filenames)) fail("has no list of filenames");
-  /** @type {Map<number, [number, number][]>} */
-  const ranges = new Map();
-  const nodes = [tree];
-  while (nodes.length) {
-    const node = nodes.pop();
-    if (node?.children?.length) {
-      nodes.push(...node.children.toReversed());
-      continue;
-    }
-    const levels = Object.keys(node?.lods ?? {}).filter((key) => /^\d+$/.test(key)).map(Number);
-    const { file, offset, count } = node?.lods?.[Math.min(...levels)] ?? {};
-    const isRange = [file, offset, count].every((x) => Number.isInteger(x) && x >= 0) && count > 0 && file < filenames.length;
-    if (!isRange) fail(`has a leaf with the levels ${JSON.stringify(node?.lods)}`);
-    if (!ranges.has(file)) ranges.set(file, []);
-    ranges.get(file)?.push([offset, count]);
-  }
-  const files = [...ranges].sort(([a], [b]) => a - b);
-  return files.map(([file, parts]) => [filenames[file], parts.sort(([a], [b]) => a - b)]);
-}
-
-async function writeSog(meta, fetchBytes, name, sink, ranges = null) {
+async function writeSog(meta, fetchBytes, name, /** @type {import("./splat_files.js").Context} */ { sink, range }) {
   const fail = failing(name, AGAIN);
+  const read = () => imagesOf(meta, fetchBytes, fail);
   try {
-    await decode(meta, fetchBytes, name, sink, ranges, fail);
+    if (decoded.size > MOST_DECODED) decoded.delete(decoded.keys().next().value);
+    await decode(meta, await (range ? remembered(decoded, name, read) : read()), name, sink, range, fail);
   } catch (error) {
+    decoded.delete(name);
     if (error instanceof GsgenError || error.name === "AbortError") throw error;
     fail(`cannot be read: ${error.message}`);
   }
@@ -103,10 +76,13 @@ function booksOf({ codebook, mins, maxs }, channels) {
   return low.map((least, i) => Float32Array.from({ length: 256 }, (_, byte) => least + (high[i] - least) * (byte / 255)));
 }
 
-async function decode(meta, fetchBytes, name, sink, ranges, fail) {
-  const { version = 1, means, scales, quats, sh0, shN, antialias, model } = meta;
+const countOf = ({ version = 1, means, count }) => (version === 1 ? means.shape[0] : count);
+
+/** Return the pixels of all images. */
+async function imagesOf(meta, fetchBytes, fail) {
+  const { version = 1, means, scales, quats, sh0, shN } = meta;
   if (version !== 1 && version !== 2) fail(`has version ${version} of SOG, expected 1 or 2`);
-  const count = version === 1 ? means.shape[0] : meta.count;
+  const count = countOf(meta);
   const read = async ({ files }, needed = count) => {
     return Promise.all(files.map(async (file) => pixelsOf(await fetchBytes(file), needed, fail)));
   };
@@ -115,6 +91,13 @@ async function decode(meta, fetchBytes, name, sink, ranges, fail) {
     (images) => images.map(({ pixels }) => pixels),
   );
   const [palette, labels] = shN ? await read(shN, 1) : [];
+  return { low, high, sizes, turns, colors, palette, labels };
+}
+
+/** Write the rows of a file, or of a part of it: from a row on, so many. */
+async function decode(meta, { low, high, sizes, turns, colors, palette, labels }, name, sink, range, fail) {
+  const { version = 1, means, scales, sh0, shN, antialias, model } = meta;
+  const count = countOf(meta);
   // The width of a palette says its degree; version 2 repeats it.
   const higher = palette ? palette.width / PALETTE_WIDTH : 0;
   const entries = version === 1 ? PALETTE_WIDTH * (palette?.height ?? 0) : shN?.count;
@@ -125,9 +108,9 @@ async function decode(meta, fetchBytes, name, sink, ranges, fail) {
   const logits = version === 1 ? colorBooks[3] : SHARE_LOGITS;
   const { mins, maxs } = means;
   const isMip = antialias === true || model === "antialiased";
-  const parts = ranges ?? [[0, count]];
-  const total = parts.reduce((sum, [, rows]) => sum + rows, 0);
-  const writer = new RowWriter(sink, name, { count: total, coefficients: 1 + higher, antialias: isMip });
+  const [start, rows] = range ?? [0, count];
+  if (start + rows > count) fail(`has ${count} splats, and a tree lists splat ${start + rows - 1}`);
+  const writer = new RowWriter(sink, name, { count: rows, coefficients: 1 + higher, antialias: isMip });
   const place = (first, axis) => {
     const share = (low[first + axis] | (high[first + axis] << 8)) / 65535;
     const stored = mins[axis] * (1 - share) + maxs[axis] * share;
@@ -154,12 +137,9 @@ async function decode(meta, fetchBytes, name, sink, ranges, fail) {
     }
     writer.keep();
   };
-  for (const [start, rows] of parts) {
-    if (start + rows > count) fail(`has ${count} splats, and a tree lists splat ${start + rows - 1}`);
-    for (let row = start; row < start + rows; row++) {
-      writeRow(row);
-      if (writer.used === writer.batch) await writer.flush();
-    }
+  for (let row = start; row < start + rows; row++) {
+    writeRow(row);
+    if (writer.used === writer.batch) await writer.flush();
   }
   await writer.flush();
   writer.end();

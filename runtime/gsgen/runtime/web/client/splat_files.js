@@ -18,6 +18,7 @@ const SUFFIXES = /\.(ply|spz|splat|ksplat|sog|glb|gltf)(\.gz)?$/i;
  * @typedef {object} Context
  * @property {import("./row_writer.js").Sink} sink Takes the rows.
  * @property {(file: string) => Promise<Uint8Array>} beside Returns the bytes of a file in the same folder.
+ * @property {[number, number]} [range] Of a SOG, which row comes first, and how many do.
  */
 
 /** Readers by the kinds of `contract/file_kinds`. @type {Record<string, (source: ByteSource, context: Context) => Promise<void>>} */
@@ -32,13 +33,13 @@ const READERS = {
 };
 const READER_OF_KIND = {
   "ply-splats": "ply", "compressed-ply": "ply", "ply-points": "ply", spz: "spz", glb: "glb", "glb-splats": "glb",
-  "gltf-splats": "gltf", sog: "sog", "streamed-sog": "sog",
+  "gltf-splats": "gltf", sog: "sog",
 };
 
 /**
  * What is to be read: an address, or bytes; `name` is for messages.
  * @typedef {{name: string, address?: string, bytes?: ArrayBuffer | Uint8Array, cache?: RequestCache, target?: string,
- *     rows?: Float32Array, count?: number}} Request
+ *     range?: [number, number], rows?: Float32Array, count?: number}} Request
  *     Of generators, `target` is whose limits and quirks rules check. Of rows, the extent is told.
  */
 /**
@@ -58,7 +59,7 @@ const READER_OF_KIND = {
  * @param {AbortSignal} [signal]
  * @returns {Promise<FileContent>}
  */
-export async function readRequest({ name, address, bytes, cache, target, rows, count = 0 }, sink, onProgress, signal) {
+export async function readRequest({ name, address, bytes, cache, target, range, rows, count = 0 }, sink, onProgress, signal) {
   if (rows) return { kind: "rows", extent: extentOf({ rows, count }) };
   const source = bytes ? ByteSource.of(bytes, name) : await openSource(address, name, onProgress, signal, cache);
   const beside = async (file) => {
@@ -66,9 +67,10 @@ export async function readRequest({ name, address, bytes, cache, target, rows, c
     const place = new URL(file, folder);
     const isInside = folder.protocol !== "none:" && String(place).startsWith(String(folder));
     if (!isInside) failing(name, "Pack the folder into a ZIP archive, or show it by its address.")(`refers to the file ${file}, which is not beside it`);
-    return (await openSource(String(place), file, undefined, signal)).rest();
+    // Others may wait for a file of which a part is read.
+    return (await openSource(String(place), file, undefined, range ? undefined : signal)).rest();
   };
-  const content = await readFile(source, { sink, beside });
+  const content = await readFile(source, { sink, beside, range });
   if (content.kind !== "onnx" || !content.bytes) return content;
   const { inspectedModel } = await import("./findings.js");
   return { ...content, inspected: inspectedModel(content.bytes, name, target) };
@@ -117,7 +119,7 @@ async function readFile(source, context) {
       return { kind: "splats" };
     }
     if (kind?.name === "onnx" || (!kind && /\.onnx$/i.test(name))) return { kind: "onnx", bytes: await source.rest() };
-    if (kind?.name === "tileset") return { kind: "tileset", bytes: await source.rest() };
+    if (kind?.name === "tileset" || kind?.name === "streamed-sog") return { kind: "tileset", bytes: await source.rest() };
     const isScene = kind?.name === "scene" || (kind?.name === "json" && SCENE_KEY.test(textOf(head)));
     if (isScene) return { kind: "scene", bytes: await source.rest() };
     const problem = kind ? `is ${kind.title}` : `begins with ${[...head.subarray(0, 5)].map((byte) => byte.toString(16).padStart(2, "0")).join(" ")}, as no file of splats does`;

@@ -169,9 +169,10 @@ export class Stage {
    * Compute the Gaussians of a frame; return whether the pages are others than before.
    * @param {Record<string | symbol, any>} given By name or role, and the seconds of the timeline.
    * @param {import("./camera.js").Camera} camera
+   * @param {((seconds: number) => any) | null} [path] The camera in some seconds, if it is known.
    * @returns {Promise<boolean>}
    */
-  async update(given, camera) {
+  async update(given, camera, path = null) {
     const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
     this._meshes?.moveTo(seconds);
@@ -179,7 +180,9 @@ export class Stage {
       const { model, inputs } = entry;
       const [keyed, fixed] = inputsAt(inputs, seconds, model);
       const all = { ...this._ownTime(model, seconds), ...keyed, ...values, ...fixed };
-      isChanged = (await model.update(all, localCamera(camera, worldOf(entry)))) || isChanged;
+      const local = (each) => each && localCamera(each, worldOf(entry));
+      const own = path && ((seconds) => local(path(seconds)));
+      isChanged = (await model.update(all, local(camera), own)) || isChanged;
     }
     return this._place() || isChanged;
   }
@@ -232,7 +235,7 @@ function placed(set, entry) {
   return {
     ...set,
     transform: composed(worldOf(entry), set.transform),
-    opacityScale: opacity,
+    opacityScale: opacity * (set.opacityScale ?? 1),
     ...(degree !== null && own !== null ? { degree: Math.min(own, degree) } : {}),
     ...(antialias ? { antialias } : {}),
     ...(clip ? { clip: mirrored(clip, set.transform) } : {}),

@@ -89,12 +89,17 @@ export class RequestPlanner {
     }
   }
 
-  /** Request while connections are free. @param {() => any[]} candidates Tiles that will be seen. */
-  fill(isLoaded, finer, candidates) {
-    while (this.pending.size < this._rules.requests) {
-      const [tile, purpose] = this._next(isLoaded, finer, candidates);
+  /**
+   * Request while connections are free.
+   * @param {any[]} candidates Tiles that will be seen, the most urgent first.
+   * @param {boolean} [isKnown] Whether that is certain: nothing is wasted along a path that is known.
+   */
+  fill(isLoaded, finer, candidates, isKnown = false) {
+    const open = () => [...this.pending.values()].filter(({ isRead }) => !isRead).length;
+    while (open() < this._rules.requests) {
+      const [tile, purpose] = this._next(isLoaded, finer, candidates, isKnown);
       if (!tile) return;
-      const flight = { purpose, loaded: 0, stop: new AbortController() };
+      const flight = { purpose, loaded: 0, isRead: false, stop: new AbortController() };
       this.pending.set(tile, flight);
       this._request(tile, flight);
     }
@@ -115,12 +120,12 @@ export class RequestPlanner {
     return (missing[0]?.level === 0 ? missing.slice(0, 1) : missing).filter((tile) => !this.pending.has(tile));
   }
 
-  _next(isLoaded, finer, candidates) {
+  _next(isLoaded, finer, candidates, isKnown) {
     const [first] = this.missing(isLoaded);
     if (first) return [first, "needed"];
     if (!this._order.every(isLoaded)) return [];
-    const ahead = candidates().find((tile) => !isLoaded(tile) && !this.pending.has(tile));
-    if (ahead && this._affords(ahead.bytes)) return [ahead, "prefetched"];
+    const ahead = candidates.find((tile) => !isLoaded(tile) && !this.pending.has(tile));
+    if (ahead && (isKnown || this._affords(ahead.bytes))) return [ahead, "prefetched"];
     return [finer.find((tile) => !this.pending.has(tile)), "finer"];
   }
 

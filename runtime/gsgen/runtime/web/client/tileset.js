@@ -21,11 +21,14 @@ const MOST_ATTEMPTS = 4; // of a request that fails by a fault of the network or
 const FIRST_PAUSE = 500; // milliseconds until the second attempt; doubled after each
 const MOST_SPLATS = 1 << 18; // in GPU memory
 const MOST_DEGREE = 3;
+const PATH_SECONDS = [3, 4, 5, 6, 7, 8]; // ahead on a path that is known, beyond the horizon of predictions
 const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is away from it
 // Readers turn glTF content as files (x, y, z) → (−x, −y, z); of a tile, its (x, −z, y) is meant.
 const TILE_FROM_FILE = [-1, 0, 0, 0, 0, 0, -1, 0, 0, -1, 0, 0, 0, 0, 0, 1];
 
 let count = 0; // of the tiles of this page
+/** The tilesets of this page, which share one budget. @type {Set<TilesetModel>} */
+const neighbours = new Set();
 
 /** A tile, in the frame of the tileset. */
 class Tile {
@@ -41,7 +44,9 @@ class Tile {
     this.center = moved(this.frame, numbers.slice(0, 3));
     this.axes = [3, 6, 9].map((first) => times(linear, numbers.slice(first, first + 3)));
     this.error = json.geometricError * Math.max(...scales);
-    this.level = parent ? parent.level + 1 : 0;
+    this.level = json.level ?? (parent ? parent.level + 1 : 0);
+    this.parent = parent;
+    this.rows = json.rows; // of a file that several tiles share: the first, and how many
     this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
     this.schema = json.schema ?? parent?.schema;
     this.facts = json.facts ?? parent?.facts; // what the tileset says of all its tiles
@@ -88,7 +93,19 @@ class Tile {
   }
 }
 
+const isAbove = (tiles, tile) => Boolean(tile && (tiles.has(tile) || isAbove(tiles, tile.parent)));
+
+/** Return whether one of some tiles is above a tile, or below it. @param {Set<Tile> | Map<Tile, any>} tiles */
+function replaces(tile, tiles) {
+  return isAbove(tiles, tile.parent) || [...tiles.keys()].some((other) => isAbove(new Set([tile]), other.parent));
+}
+
 const slotsOf = (tiles) => tiles.reduce((sum, { needed }) => sum + needed, 0);
+
+/** Return the JSON of a tileset. */
+async function readTileset(json, address) {
+  return json.tree || json.lodLevels ? (await import("./streamed_sog.js")).tilesetOf(json, address) : json;
+}
 
 /** Return the root tile of a tileset. */
 function rootOf({ root, schema, metadata }, parent, address, slotRows = parent?.facts.slotRows) {
@@ -105,16 +122,23 @@ function persistently(task, signal, attempt = 1) {
   });
 }
 
+/**
+ * What has come of a tileset: numbers of tiles, and bytes of their files.
+ * @typedef {{missing: number, holes: number, drawn: number, held: number, loading: number, received: number, wasted: number}} Statistics
+ *     `missing` tiles are seen and are not there; in place of `holes`, nothing is drawn.
+ */
+
 /** A tileset in a page. */
 export class TilesetModel {
   /** Open a tileset, and wait for its coarsest tiles; see the constructor. */
-  static async open(kernels, tileset, name, options) {
-    const model = new TilesetModel(kernels, tileset, name, options);
+  static async open(kernels, json, name, options) {
+    const address = String(new URL(options.source ?? name, document.baseURI));
+    const model = new TilesetModel(kernels, await readTileset(json, address), address, options);
     const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
-    await model.update({}, camera);
-    while (model.loading && !model._held.size && !options.signal?.aborted) {
-      await Promise.race([...model._planner.pending.values()].map(({ end }) => end));
+    while (!model._held.size && !options.signal?.aborted) {
       await model.update({}, camera);
+      if (!model.loading) break;
+      await Promise.race([...model._planner.pending.values()].map(({ end }) => end));
     }
     if (options.signal?.aborted) model.destroy();
     options.signal?.throwIfAborted();
@@ -124,27 +148,39 @@ export class TilesetModel {
   /**
    * @param {import("./host.js").KernelCache} kernels
    * @param {any} tileset The parsed tileset.json.
+   * @param {string} address
    * @param {import("./model.js").Options} options
    */
-  constructor({ device, plans }, tileset, name, options) {
+  constructor({ device, plans }, tileset, address, options) {
     const { slotRows, maxError } = plans.streaming;
     const channels = 3 * (1 + (tileset.metadata?.properties?.sh_degree ?? MOST_DEGREE)) ** 2;
     const facts = { count: slotRows, channels, space: /** @type {const} */ ("sh") };
-    const length = Math.floor((options.maxSplats ?? MOST_SPLATS) / slotRows);
     /** @type {any[]} All slots; those that the last camera does not need have no live row. */
-    this.sets = Array.from({ length }, () => {
-      return { buffers: new SplatBuffers(device, plans, facts), transform: IDENTITY, live: 0 };
-    });
-    this._free = [...this.sets];
+    this.sets = [];
+    /** @type {any[]} Those of no tile. */
+    this._free = [];
+    this._budget = Math.floor((options.maxSplats ?? MOST_SPLATS) / slotRows);
+    this._newSlot = () => ({ buffers: new SplatBuffers(device, plans, facts), transform: IDENTITY, live: 0 });
     this._rules = plans.streaming;
     this._predictor = new CameraPredictor(plans.streaming);
     this._planner = new RequestPlanner(plans.streaming, (tile, flight) => {
-      flight.end = this._load(tile, flight).finally(() => this._stop.signal.aborted || this._options.onChange());
+      flight.end = this._load(tile, flight).finally(() => {
+        if (this._stop.signal.aborted) return;
+        this._fill();
+        this._options.onChange();
+      });
+      this._spare = this._room();
     });
+    /** The camera of the last frame, and where it will be. @type {any} */
+    this._camera = null;
+    /** @type {((seconds: number) => any) | null} */
+    this._path = null;
+    this._spare = 0; // slots that requests may take
     this._planned = -Infinity; // when tiles to come were last predicted
-    this._ahead = /** @type {Tile[]} */ ([]);
+    this._future = /** @type {Tile[]} */ ([]); // all of them, the earliest first
+    this._ahead = /** @type {Tile[]} */ ([]); // those that slots suffice for
     this._options = { ...options, maxError: options.maxError ?? maxError };
-    this._root = rootOf(tileset, null, String(new URL(options.source ?? name, document.baseURI)), slotRows);
+    this._root = rootOf(tileset, null, address, slotRows);
     /** From the axes of the splats that it was built from, which scene files place, to its own. */
     this.frame = this._root.frame;
     const { center, axes } = this._root;
@@ -160,27 +196,59 @@ export class TilesetModel {
     this.buffers = { count: 0, isLinear: false };
     /** @type {Tile[]} */
     this.drawn = [];
+    /** The cut of the last camera. */
+    this._shown = { seen: new Map(), refined: new Set(), holes: 0 };
+    /** The opacity of each tile on the screen. @type {Map<Tile, number>} */
+    this._fades = new Map();
+    this._fadedAt = 0;
+    this._hasFades = options.fades ?? true;
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
+    neighbours.forEach((model) => model._options.onChange()); // who have fewer slots now
+    neighbours.add(this);
+    this._resize();
   }
 
-  /** Choose the tiles of a camera, and request what lacks. */
-  async update(_, camera) {
+  /**
+   * Choose the tiles of a camera, and request what lacks.
+   * @param {((seconds: number) => any) | null} [path] The camera in some seconds, if it is known.
+   */
+  async update(_, camera, path = null) {
     this._frame += 1;
     const time = performance.now() / 1000;
+    const isChanged = this._resize();
     const cut = this._cut(camera);
     for (const tile of cut.seen.keys()) tile.seen = this._frame;
-    this.drawn = this._drawn(this._root, cut) ?? [];
+    const drawn = this._drawn(this._root, cut);
+    [this.drawn, this._shown] = [drawn ?? [], cut];
+    if (!drawn) cut.holes += 1;
+    this._fade(time);
     for (const { buffers } of this.sets) buffers.count = 0;
-    for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
+    for (const [{ slots }, opacityScale] of this._fades) {
+      for (const slot of slots ?? []) [slot.buffers.count, slot.opacityScale] = [slot.live, opacityScale];
+    }
+    [this._camera, this._path] = [camera, path];
     this._predictor.observe(time, camera);
-    const isLoaded = (tile) => tile.slots || !tile.uris.length || tile.retryAt > time;
-    this._planner.frame(time, cut.seen, isLoaded);
-    const finer = finerOrder(this.drawn.filter((tile) => tile.retryAt <= time), eyeOf(camera));
+    this._planner.frame(time, cut.seen, (tile) => this._isLoaded(tile, time));
+    this._expect(time);
+    this._fill();
+    return isChanged;
+  }
+
+  /** Return whether a tile is there, or cannot be had now. */
+  _isLoaded(tile, time) {
+    return tile.slots || !tile.uris.length || tile.retryAt > time;
+  }
+
+  /** Request tiles for the last camera, in each frame and whenever a connection is free. */
+  _fill() {
+    const time = performance.now() / 1000;
+    const finer = finerOrder(this.drawn.filter((tile) => tile.slots && tile.retryAt <= time), eyeOf(this._camera));
+    this._spare = this._room();
     // What would not fit beside the tiles in flight is asked for later.
-    this._planner.fill((tile) => isLoaded(tile) || tile.needed > this._room(), finer, () => this._predicted(time, camera));
-    return false;
+    const isLoaded = (tile) => this._isLoaded(tile, time) || tile.needed > this._spare;
+    this._planner.fill(isLoaded, finer, this._ahead, Boolean(this._path));
   }
 
   /** Return the tiles that a camera sees with their errors, and those that are refined: the worst, as far as slots suffice. */
@@ -189,17 +257,19 @@ export class TilesetModel {
     const see = (tiles) => tiles.forEach((tile) => seen.set(tile, tile.pixels(camera)));
     const met = (tiles) => tiles.filter((tile) => tile.meets(camera));
     see(met([this._root]));
+    let slots = slotsOf([...seen.keys()]);
     for (const open = new Set(seen.keys()); open.size; ) {
       const worst = [...open].reduce((first, other) => (seen.get(other) > seen.get(first) ? other : first));
       open.delete(worst);
       const below = met(worst.children);
-      const fits = slotsOf([...seen.keys(), ...below]) <= this.sets.length;
-      if (seen.get(worst) <= this._options.maxError || !worst.children.length || !fits) continue;
+      const more = slots + slotsOf(below);
+      if (seen.get(worst) <= this._options.maxError || !worst.children.length || more > this.sets.length) continue;
+      slots = more;
       refined.add(worst);
       see(below);
       below.forEach((tile) => open.add(tile));
     }
-    return { seen, refined };
+    return { seen, refined, holes: 0 };
   }
 
   /** Return the tiles to draw at and below a tile; null while one of them is not loaded. */
@@ -210,17 +280,74 @@ export class TilesetModel {
     const below = tile.children.map((child) => this._drawn(child, cut));
     const loaded = below.flatMap((tiles) => tiles ?? []);
     if (tile.adds) return own && [...own, ...loaded];
-    return below.every(Boolean) || !tile.uris.length ? loaded : own;
+    if (below.every(Boolean)) return loaded;
+    if (tile.uris.length) return own;
+    cut.holes += below.filter((tiles) => !tiles).length;
+    return loaded;
   }
 
-  /** Return the tiles that predicted cameras see, the earliest first. */
-  _predicted(time, camera) {
+  /** Fade tiles in that take the place of others, and those out; what comes into view is there at once. */
+  _fade(time) {
+    const { fadeSeconds, fadeStep } = this._rules;
+    const [before, step] = [this._fades, this._hasFades ? Math.min(time - this._fadedAt, fadeStep) / fadeSeconds : 1];
+    const drawn = new Set(this.drawn);
+    const isReplaced = (tile) => replaces(tile, drawn);
+    const entries = this.drawn.map((tile) => {
+      const share = before.get(tile) ?? (replaces(tile, before) ? 0 : 1);
+      return /** @type {[Tile, number]} */ ([tile, Math.min(share + step, 1)]);
+    });
+    for (const [tile, share] of before) {
+      if (!drawn.has(tile) && tile.slots && share > step && isReplaced(tile)) entries.push([tile, share - step]);
+    }
+    [this._fades, this._fadedAt] = [new Map(entries), time];
+    if (entries.some(([, share]) => share < 1)) this._options.onChange();
+  }
+
+  /** Find the tiles that the camera will see; those that fit beside what it sees keep their slots. */
+  _expect(time) {
     const { horizonSeconds, horizonFractions, planSeconds } = this._rules;
-    if (time - this._planned < planSeconds) return this._ahead;
-    const views = horizonFractions.map((share) => this._predictor.predict(share * horizonSeconds));
-    const cuts = views.filter(Boolean).map((view) => this._cut({ ...camera, view }));
-    [this._planned, this._ahead] = [time, [...new Set(cuts.flatMap(({ seen }) => requestOrder(seen)))]];
-    return this._ahead;
+    const { seen } = this._shown;
+    const isBusy = this._planner.missing((tile) => this._isLoaded(tile, time)).length > 0;
+    if (!isBusy && time - this._planned >= planSeconds) {
+      const ahead = horizonFractions.map((share) => share * horizonSeconds);
+      const views = this._path
+        ? [...ahead, ...PATH_SECONDS].map(this._path)
+        : ahead.map((seconds) => this._predictor.predict(seconds)).map((view) => view && { ...this._camera, view });
+      const orders = views.filter(Boolean).map((camera) => requestOrder(this._cut(camera).seen));
+      [this._planned, this._future] = [time, [...new Set(orders.flat())]];
+    }
+    let slots = slotsOf([...seen.keys()]);
+    this._ahead = this._future.filter((tile) => {
+      if (seen.has(tile)) return true;
+      if (slots + tile.needed > this.sets.length) return false;
+      slots += tile.needed;
+      tile.seen = this._frame;
+      return true;
+    });
+  }
+
+  /** @returns {Statistics} */
+  get statistics() {
+    const { received, wasted } = this._planner;
+    const { seen, holes } = this._shown;
+    const missing = [...seen.keys()].filter((tile) => tile.uris.length && !tile.slots).length;
+    return { missing, holes, drawn: this.drawn.length, held: this._held.size, loading: this.loading, received, wasted };
+  }
+
+  /** Take the own share of the slots of all tilesets in the page; return whether it has changed. */
+  _resize() {
+    const length = Math.max(Math.floor(this._budget / neighbours.size), 1);
+    const before = this.sets.length;
+    if (length > before) this._free.push(...Array.from({ length: length - before }, this._newSlot));
+    while (this._free.length < before - length) this._release(this._oldest());
+    for (const { buffers } of this._free.splice(0, before - length)) buffers.destroy();
+    if (length !== before) this.sets = [...this._free, ...[...this._held].flatMap(({ slots }) => slots)];
+    return length !== before;
+  }
+
+  /** Return the tile that no camera saw for the longest time. */
+  _oldest() {
+    return [...this._held].reduce((first, other) => (other.seen < first.seen ? other : first));
   }
 
   /** How many tiles are being loaded. */
@@ -231,27 +358,33 @@ export class TilesetModel {
   async _load(tile, flight) {
     const signal = AbortSignal.any([this._stop.signal, flight.stop.signal]);
     const quality = tile.quality < 0 ? Math.max(tile.files.length - 1, 0) : 0;
+    const { uri, bytes = tile.bytes || Infinity } = tile.files[quality] ?? {};
+    const uris = uri ? [uri] : tile.uris;
     try {
       const read = async (uri) => {
         const address = String(new URL(uri, tile.base));
         const { subtree, schema, base } = tile;
-        const onProgress = (loaded) => (flight.loaded = loaded);
+        const onProgress = (loaded) => {
+          flight.loaded = loaded;
+          if (loaded < bytes || flight.isRead) return;
+          flight.isRead = true; // and is decoded, while the connection is free
+          this._fill();
+        };
         if (subtree) {
           const data = await download(address, onProgress, signal);
           return new Tile(subtreeRoot(data, subtree, schema, address, tile.facts?.files), tile, base);
         }
-        const { kind, bytes, parts } = await readParts({ name: address, address }, onProgress, signal);
+        const { kind, bytes: json, parts } = await readParts({ name: address, address, range: tile.rows }, onProgress, signal);
         if (kind === "onnx") failing(address)("is a generator, expected splats or a tileset");
-        return bytes ? rootOf(parsedJson(bytes), tile, address) : parts;
+        return json ? rootOf(await readTileset(parsedJson(json), address), tile, address) : parts;
       };
-      const uris = tile.files.length ? [tile.files[quality].uri] : tile.uris;
       const loaded = (await Promise.all(uris.map((uri) => persistently(() => read(uri), signal)))).flat();
       if (signal.aborted) return;
       const roots = loaded.filter((part) => part instanceof Tile);
       tile.children.push(...roots);
       if (roots.length) [tile.uris, tile.needed, tile.error] = [[], 0, Infinity]; // other tiles take its place
       this._place(tile, loaded.filter((part) => !(part instanceof Tile)), quality);
-      this._planner.arrive(tile, performance.now() / 1000, tile.files[quality]?.bytes ?? flight.loaded);
+      this._planner.arrive(tile, performance.now() / 1000, Number.isFinite(bytes) ? bytes : flight.loaded);
     } catch (error) {
       if (signal.aborted) return;
       this._planner.pending.delete(tile);
@@ -272,7 +405,7 @@ export class TilesetModel {
     if (tile.slots?.length !== parts.length) this._release(tile);
     if (!tile.slots && this._room(tile) < parts.length) return;
     while (!tile.slots && this._free.length < parts.length) {
-      this._release([...this._held].reduce((first, other) => (other.seen < first.seen ? other : first)));
+      this._release(this._oldest());
     }
     const slots = tile.slots ?? this._free.splice(-parts.length, parts.length);
     tile.slots = parts.map(([set, first], i) => {
@@ -280,7 +413,7 @@ export class TilesetModel {
       const live = Math.min(rows, set.count - first);
       const part = (numbers, width) => numbers.subarray(first * width, (first + live) * width);
       slots[i].buffers.write(0, part(set.rows, 10), paddedRows(part(set.appearance, channels), channels, slots[i].buffers.stride));
-      const transform = composed(tile.frame, composed(TILE_FROM_FILE, set.transform));
+      const transform = composed(tile.frame, composed(tile.facts.axes ?? TILE_FROM_FILE, set.transform));
       return Object.assign(slots[i], { transform, live, antialias, degree: degreeOf(channels, "sh") });
     });
     [tile.quality, tile.seen] = [quality, this._frame];
@@ -303,6 +436,8 @@ export class TilesetModel {
 
   destroy() {
     this._stop.abort();
+    neighbours.delete(this);
+    neighbours.forEach((model) => model._options.onChange()); // who have more now
     for (const { buffers } of this.sets) buffers.destroy();
   }
 }

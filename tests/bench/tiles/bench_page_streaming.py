@@ -1,0 +1,198 @@
+"""Tiles in Chromium over a throttled server: pictures of journeys beside Python's, and an element.
+
+    python -m pytest tests/bench/tiles/bench_page_streaming.py -o python_files='bench_*.py' \\
+        -o python_functions='bench_*' -s -q
+
+The journeys and the town are those of ``bench_request_order.py``. The page streams them in real
+time from a server of the same rate and draws five moments of each; Python's pictures are those of
+its client on a virtual clock.
+"""
+
+import base64
+import json
+import os
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from bench.tiles.bench_request_order import (
+    DRAWN_NETWORKS,
+    MOMENTS,
+    RATE,
+    VIEW,
+    Town,
+    camera_of,
+    journeys,
+    networks,
+    root_alone,
+    stream,
+    town,
+)
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.tiles.scoring.ssim import ssim
+from gsgen.tiles.serving.faults import NetworkFaults
+from support.measures import print_figure
+from support.tiles.serving import served
+from support.web import scenes
+from support.web.pages import chromium, site, unpacked
+
+SSIM_BAR = 0.03  # below Python
+SLOWNESS = float(os.environ.get("GSGEN_BENCH_SLOWNESS", "4"))
+ONLY = os.environ.get("ONLY", "")
+
+
+def bench_page_beside_python(tmp_path: Path) -> None:
+    scene = Town.open(town(tmp_path))
+    frame = np.linalg.inv(scene.tileset.transform)
+    seconds = int(RATE * (MOMENTS[-1] + 0.5))
+    camera, drawn = (
+        scenes.camera_of(camera_of(journeys(scene.tree)["walk"][0], *size))
+        for size in ((VIEW.width, VIEW.height), (320, 240))
+    )
+    sums: dict[str, list[float]] = {"python": [], "page": []}
+    holes: dict[str, list[int]] = {"python": [], "page": []}
+    with chromium() as browser, site(browser) as page:
+        page.open()
+        for network in DRAWN_NETWORKS:
+            trace = networks()[network]
+            for name, path in journeys(scene.tree).items():
+                if ONLY not in f"{name} {network}":
+                    continue
+                path = path[:seconds]
+                run = stream(scene.tree, scene.ladder, path, trace, root_alone)
+                expected = [
+                    scene.image(pose, [(row, 0) for row in wanted]) for pose, _, wanted in run.shots
+                ]
+                python = [
+                    ssim(scene.image(pose, files), whole) if files else 0.0
+                    for (pose, files, _), whole in zip(run.shots, expected, strict=True)
+                ]
+                faults = NetworkFaults(
+                    bytes_per_second=float(trace.rates[0]) / SLOWNESS, latency=0.05 * SLOWNESS
+                )
+                with served(Path(scene.address), faults, cors="*") as address:
+                    result = page.call(
+                        "streamedJourney",
+                        {
+                            "address": f"{address}tileset.json",
+                            "views": [
+                                (camera_of(pose).view @ frame).ravel().tolist() for pose in path
+                            ],
+                            "rate": RATE,
+                            "moments": list(MOMENTS),
+                            "camera": camera,
+                            "drawn": drawn,
+                            "slowness": SLOWNESS,
+                            "options": {"maxError": VIEW.max_error, "maxSplats": 1 << 20},
+                        },
+                    )
+                assert result["failures"] == []
+                pictures = [
+                    np.clip(unpacked(shot["image"], np.float32).reshape(240, 320, 4)[..., :3], 0, 1)
+                    for shot in result["shots"]
+                ]
+                page_scores = [ssim(*pair) for pair in zip(pictures, expected, strict=True)]
+                sums["python"] += python
+                sums["page"] += page_scores
+                holes["python"].append(run.hole_count)
+                holes["page"].append(result["holes"])
+                print_figure(
+                    f"{name} at {network}: Python {_row(python)}, page {_row(page_scores)}; frames with "
+                    f"holes {run.hole_count} of {len(path)}, {result['holes']} of {result['frames']}"
+                )
+                print_figure(json.dumps(result["statistics"]))
+                print_figure(
+                    str(
+                        [
+                            (round(s["now"], 2), len(s["files"]), s["statistics"])
+                            for s in result["shots"]
+                        ]
+                    )
+                    + str([len(f) for _, f, _ in run.shots])
+                    + str([len(f) for _, _, f in run.shots])
+                )
+    means = {client: float(np.mean(scores)) for client, scores in sums.items()}
+    print_figure(f"SSIM of 30 pictures: Python {means['python']:.3f}, page {means['page']:.3f}")
+    assert means["page"] >= means["python"] - SSIM_BAR
+
+
+def _row(scores: list[float]) -> str:
+    return " ".join(f"{score:.3f}" for score in scores)
+
+
+_PAGE = b"""<!doctype html><meta charset=utf-8>
+  <style>body { margin: 0 } gsgen-model { width: 480px; height: 300px; aspect-ratio: auto }</style>
+  <script type=module src=/client/gsgen.js></script>
+  <gsgen-model src=/knot.ply loading=eager background=#87a max-error=4></gsgen-model>"""
+_ELEMENT = "document.querySelector('gsgen-model')"
+_SHOTS = (0.5, 1.0, 2.0, 5.0)  # seconds
+_WATCH = """([address, slowness]) => {
+  // The page's clock goes slower, as the server does: the machine has to keep up with neither.
+  performance.now = () => Performance.prototype.now.call(performance) / slowness;
+  const element = document.querySelector('gsgen-model');
+  const { _present } = element;
+  const begin = performance.now();
+  window.frames_drawn = [];
+  element._present = (look) => {
+    _present.call(element, look);
+    const { statistics } = element;
+    if (!statistics) return; // still the model before
+    const time = (performance.now() - begin) / 1000;
+    frames_drawn.push({ time, statistics, bitmap: createImageBitmap(element._view.canvas) });
+  };
+  element.cameraOrbit = "40deg 22deg 260";
+  element.src = address;
+}"""
+_PICTURE = """async (index) => {
+  const { time, statistics, bitmap } = frames_drawn.at(index);
+  const canvas = new OffscreenCanvas(480, 300);
+  canvas.getContext("2d").drawImage(await bitmap, 0, 0);
+  const bytes = new Uint8Array(await (await canvas.convertToBlob()).arrayBuffer());
+  return { time, statistics, png: bytes.toBase64?.() ?? btoa(String.fromCharCode(...bytes)) };
+}"""
+
+
+def bench_first_pictures(tmp_path: Path) -> None:
+    """An element over 4 Mbps: what it shows after .5, 1, 2 and 5 seconds, beside the last picture.
+
+    Its kernels are compiled by a small model before: a software driver takes seconds for them. The
+    pictures are written to a folder that GSGEN_BENCH_PICTURES names.
+    """
+    write_ply(tmp_path / "knot.ply", torus_knot(600, degree=0))
+    faults = NetworkFaults(bytes_per_second=500_000 / SLOWNESS, latency=0.05 * SLOWNESS)
+    with (
+        chromium() as browser,
+        site(browser) as page,
+        served(Path(town(tmp_path)), faults, cors="*") as address,
+    ):
+        knot = (tmp_path / "knot.ply").read_bytes()
+        page.contents.update({"/page.html": _PAGE, "/knot.ply": knot})
+        page.page.set_viewport_size({"width": 480, "height": 300})
+        page.open("/page.html")
+        page.page.wait_for_function(f"{_ELEMENT}.state === 'ready'")
+        page.page.evaluate(_WATCH, [f"{address}tileset.json", SLOWNESS])
+        page.page.wait_for_timeout(1000 * _SHOTS[-1] * SLOWNESS)
+        page.page.wait_for_function(f"{_ELEMENT}._shown.isFinal({_ELEMENT}._look())")
+        times = page.page.evaluate("frames_drawn.map(({ time }) => time)")
+        indices = [sum(time <= moment for time in times) - 1 for moment in _SHOTS]
+        shown = [index for index in indices if index >= 0]
+        shots = [page.page.evaluate(_PICTURE, index) for index in (*shown, -1)]
+    print_figure(f"frames at {[round(time, 2) for time in times]}")
+    images = []
+    names = [
+        moment for moment, index in zip((*_SHOTS, "last"), (*indices, 0), strict=True) if index >= 0
+    ]
+    for moment, shot in zip(names, shots, strict=True):
+        png = base64.b64decode(shot["png"])
+        images.append(np.asarray(Image.open(BytesIO(png)).convert("RGB")) / 255)
+        if folder := os.environ.get("GSGEN_BENCH_PICTURES"):
+            (Path(folder) / f"{moment}.png").write_bytes(png)
+    for moment, shot, image in zip(names, shots, images, strict=True):
+        print_figure(
+            f"{moment}: drawn at {shot['time']:.2f} s, SSIM {ssim(image, images[-1]):.3f}, "
+            f"{json.dumps(shot['statistics'])}"
+        )
+    assert indices[1] >= 0, "nothing is shown after a second"
