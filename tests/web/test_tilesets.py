@@ -109,6 +109,45 @@ def test_a_budget_keeps_coarser_tiles(folder: Path, site: WebSite) -> None:
     assert near["live"] > 0
 
 
+def test_tiles_of_a_known_path_come_before_they_are_seen_and_fade_in(
+    folder: Path, site: WebSite
+) -> None:
+    """A second tileset takes half of the slots, until it goes."""
+    distant = Camera.look_at([0, -90, 20], [0, 0, 0], up=(0, 0, 1), **_SIZE)
+    cameras = [camera_of(camera) for camera in (distant, CAMERAS[1])]
+    options = {"maxError": MAX_ERROR, "maxSplats": 20 * _SLOT_ROWS}
+    with served(folder, cors="*") as address:
+        result = site.call("knownPathAndBudget", f"{address}/tileset.json", cameras, options)
+    assert (result["failures"], result["errors"]) == ([], [])
+    alone, ahead, arrived = (result[name] for name in ("alone", "ahead", "arrived"))
+    assert (alone["missing"], alone["held"]) == (0, 1)
+    assert ahead["held"] > alone["held"]
+    assert (arrived["missing"], arrived["holes"]) == (0, 0)
+    assert arrived["received"] == ahead["received"]
+    during, after = result["fades"]
+    assert len(during) > len(after)  # what is replaced is drawn, too
+    assert any(0 < opacity < 1 for opacity in during)
+    assert set(after) == {1}
+    assert [state["slots"] for state in result["shared"]] == [10, 10]
+    assert result["again"]["slots"] == alone["slots"] == 20
+
+
+def test_tiles_are_kept_where_a_server_does_not_say_for_how_long(
+    folder: Path, site: WebSite
+) -> None:
+    """A second visit asks for what is named by its bytes again only if the server forbids more."""
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.*")}
+    for base, headers in (("/kept", {}), ("/fresh", {"Cache-Control": "no-cache"})):
+        for name, path in files.items():
+            site.contents[f"{base}/{name}"] = path.read_bytes()
+            site.headers[f"{base}/{name}"] = headers
+        for visit in range(2):
+            site.requests.clear()
+            frames_of(site, site.address + base, CAMERAS[:1])
+            asked = [name for name in site.requests if name.endswith(".glb")]
+            assert bool(asked) is (visit == 0 or bool(headers))
+
+
 def test_damaged_tile_is_reported_and_others_are_drawn(
     folder: Path, site: WebSite, tmp_path: Path
 ) -> None:

@@ -196,3 +196,38 @@ def bench_first_pictures(tmp_path: Path) -> None:
             f"{json.dumps(shot['statistics'])}"
         )
     assert indices[1] >= 0, "nothing is shown after a second"
+
+
+def bench_timeline(tmp_path: Path) -> None:
+    """A scene file that flies through the town over 4 Mbps: frames with holes, and with tiles to come."""
+    orbits = [(0, "orbit:40,22,300"), (6, "orbit:75,14,160"), (12, "orbit:120,10,120")]
+    camera = {"keys": [{"at": at, "value": value} for at, value in orbits]}
+    faults = NetworkFaults(bytes_per_second=500_000 / SLOWNESS, latency=0.05 * SLOWNESS)
+    with (
+        chromium() as browser,
+        site(browser) as page,
+        served(Path(town(tmp_path)), faults, cors="*") as address,
+    ):
+        scene = {"models": [{"path": f"{address}tileset.json"}], "camera": camera, "up": "-y"}
+        write_ply(tmp_path / "knot.ply", torus_knot(600, degree=0))
+        page.contents["/knot.ply"] = (tmp_path / "knot.ply").read_bytes()
+        page.contents["/scene.json"] = json.dumps(scene).encode()
+        page.contents["/page.html"] = _PAGE
+        page.page.set_viewport_size({"width": 480, "height": 300})
+        page.open("/page.html")
+        page.page.wait_for_function(f"{_ELEMENT}.state === 'ready'")
+        page.page.evaluate(_WATCH, [f"{page.address}/scene.json", SLOWNESS])
+        page.page.wait_for_function(f"{_ELEMENT}.statistics")
+        page.page.evaluate(f"{_ELEMENT}.play()")
+        page.page.wait_for_function(f"{_ELEMENT}.ended", timeout=1_000_000)
+        frames = page.page.evaluate(
+            "frames_drawn.map(({ time, statistics }) => ({ time, ...statistics }))"
+        )
+        shots = [page.page.evaluate(_PICTURE, index) for index in (0, len(frames) // 2, -1)]
+    for number, shot in enumerate(shots):
+        if folder := os.environ.get("GSGEN_BENCH_PICTURES"):
+            (Path(folder) / f"timeline-{number}.png").write_bytes(base64.b64decode(shot["png"]))
+    holes, missing = (sum(frame[key] > 0 for frame in frames) for key in ("holes", "missing"))
+    print_figure(f"{len(frames)} frames, {holes} with holes, {missing} with tiles to come")
+    print_figure(json.dumps(frames[-1]))
+    assert holes == 0

@@ -35,7 +35,7 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
     });
   });
   const isLoaded = (tile) => tile.quality >= 0;
-  for (const { time, seen, candidates, progress, arrivals, evicted } of frames) {
+  for (const { time, seen, candidates, isKnown, progress, arrivals, evicted } of frames) {
     for (const index of arrivals) {
       const tile = tiles[index];
       tile.quality = tile.quality < 0 ? 1 : 0;
@@ -49,7 +49,7 @@ const decisions = journeys.map(({ tiles, connections, frames }) => {
     const errors = new Map(seen.map(([index, error]) => [tiles[index], error ?? Infinity]));
     planner.frame(time, errors, isLoaded);
     const drawn = [...errors.keys()].filter(isLoaded);
-    planner.fill(isLoaded, finerOrder(drawn, [0, 0, 0]), candidates.map((index) => tiles[index]));
+    planner.fill(isLoaded, finerOrder(drawn, [0, 0, 0]), candidates.map((index) => tiles[index]), isKnown);
     log.push(planner.received);
   }
   return log;
@@ -127,6 +127,7 @@ def journey(seed: int) -> tuple[dict[str, Any], list[Any]]:
     link = ScriptedLink(connections, tree.size.copy(), log)
     recorder, prefetch = MetricsRecorder(tree.parent, tree.size), ScriptedPrefetch()
     planner = link.planner = RequestPlanner(tree, link, recorder, prefetch)
+    planner._is_bounded = seed % 4 > 0  # as along paths that are known
     held = np.full(count, -1)
     frames = []
     for time in np.cumsum(rng.choice([0.05, 1.0], 40)).tolist():
@@ -158,6 +159,7 @@ def journey(seed: int) -> tuple[dict[str, Any], list[Any]]:
                     for row in np.flatnonzero(seen)
                 ],
                 "candidates": prefetch.order,
+                "isKnown": not planner._is_bounded,
                 "progress": progress.tolist(),
                 "arrivals": arrivals,
                 "evicted": evicted,

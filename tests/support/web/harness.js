@@ -252,6 +252,39 @@ export async function tilesetFrames(address, cameras, options) {
   return { frames, failures, extent: model.extent, up: model.up, errors: errors.splice(0) };
 }
 
+/** Fly from one camera to another that is known before, then share the slots with a second tileset. */
+export async function knownPathAndBudget(address, [first, last], options) {
+  const { errors, kernels } = await opening();
+  const tileset = await (await fetch(address)).arrayBuffer();
+  const failures = [];
+  const open = () => {
+    const onError = ({ message }) => failures.push(message);
+    return openModel(kernels, tileset, address, { ...options, source: address, onChange() {}, onError });
+  };
+  const model = await open();
+  const settle = async (...words) => {
+    for (let frame = 0; frame < 20 || model.loading; frame++) {
+      await model.update({}, ...words);
+      await new Promise((resolve) => setTimeout(resolve, 20));
+    }
+    return { ...model.statistics, slots: model.sets.length };
+  };
+  const opacities = () => model.sets.filter(({ buffers }) => buffers.count).map(({ opacityScale }) => opacityScale);
+  const alone = await settle(first);
+  const ahead = await settle(first, (seconds) => (seconds < 4 ? first : last));
+  await model.update({}, last);
+  const fades = [opacities()];
+  const arrived = { ...model.statistics };
+  await settle(last);
+  fades.push(opacities());
+  const other = await open();
+  const shared = [await settle(last), { slots: other.sets.length }];
+  other.destroy();
+  const again = await settle(last);
+  model.destroy();
+  return { alone, ahead, arrived, fades, shared, again, failures, errors: errors.splice(0) };
+}
+
 /**
  * Stream a tileset along a journey in real time; draw what has come at some moments.
  * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, drawn: any, options: any}} journey

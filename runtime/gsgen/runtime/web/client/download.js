@@ -3,7 +3,22 @@
 import { ByteSource } from "./byte_source.js";
 import { GsgenError, failing } from "./errors.js";
 
+const IMMUTABLE = /-[0-9a-f]{8}\.(glb|subtree|sog)$/; // files of tiles
+const MOST_KEPT = 1000;
 const TRANSIENT = [408, 425, 429, 500, 502, 503, 504]; // states that another attempt may not meet
+
+/** Fetch a file; one whose name changes with its bytes is kept, if the server does not say for how long. */
+async function fetched(address, init) {
+  const kept = IMMUTABLE.test(address) ? await globalThis.caches?.open("gsgen").catch(() => null) : null;
+  const known = await kept?.match(address);
+  if (known) return known;
+  const response = await fetch(address, init);
+  if (!kept || !response.ok || ["Cache-Control", "Expires"].some((name) => response.headers.has(name))) return response;
+  const names = await kept.keys();
+  if (names.length >= MOST_KEPT) await kept.delete(names[0]);
+  kept.put(address, response.clone()).catch(() => {}); // cut off, or there is no space
+  return response;
+}
 
 /**
  * Open what lies at an address; its bytes arrive while they are taken.
@@ -18,7 +33,7 @@ export async function openSource(address, name = address, onProgress = () => {},
   };
   let response;
   try {
-    response = await fetch(address, { signal, cache });
+    response = await fetched(address, { signal, cache });
   } catch (error) {
     if (signal?.aborted) throw error;
     return fail(error.message, true);

@@ -159,6 +159,13 @@ export class Stage {
     return { ...(fieldOfView ? { fieldOfView } : {}), ...place };
   }
 
+  /** The sums of those of its tilesets; null without. */
+  get statistics() {
+    const all = this.entries.flatMap(({ model }) => model.statistics ?? []);
+    const sums = Object.keys(all[0] ?? {}).map((key) => [key, all.reduce((sum, own) => sum + own[key], 0)]);
+    return all.length ? /** @type {any} */ (Object.fromEntries(sums)) : null;
+  }
+
   /** Return the orbit at a time of a timeline with cameras; null without. */
   cameraAt(seconds) {
     const { camera, up } = this._scene;

@@ -137,6 +137,7 @@ export class TilesetModel {
     const camera = new OrbitCamera(model.extent, model.up).camera(64, 64);
     while (!model._held.size && !options.signal?.aborted) {
       await model.update({}, camera);
+      model._camera = null; // what it sees next, another camera says
       if (!model.loading) break;
       await Promise.race([...model._planner.pending.values()].map(({ end }) => end));
     }
@@ -243,6 +244,7 @@ export class TilesetModel {
 
   /** Request tiles for the last camera, in each frame and whenever a connection is free. */
   _fill() {
+    if (!this._camera) return;
     const time = performance.now() / 1000;
     const finer = finerOrder(this.drawn.filter((tile) => tile.slots && tile.retryAt <= time), eyeOf(this._camera));
     this._spare = this._room();
