@@ -218,10 +218,11 @@ export async function openTwice(path, { camera, values }) {
 export async function tilesetFrames(address, cameras, options) {
   const { device, errors, kernels } = await opening();
   const failures = [];
+  kernels.plans.streaming.fadeSeconds = 1e-9; // pictures are compared
   const tileset = await (await fetch(address)).arrayBuffer();
   const onError = ({ message }) => failures.push(message);
   const model = await openModel(kernels, tileset, address, {
-    fades: false, ...options, source: address, onChange() {}, onError,
+    ...options, source: address, onChange() {}, onError,
   });
   const renderer = new Renderer(kernels);
   renderer.setScene(model.sets);
@@ -255,6 +256,7 @@ export async function tilesetFrames(address, cameras, options) {
 /** Fly from one camera to another that is known before, then share the slots with a second tileset. */
 export async function knownPathAndBudget(address, [first, last], options) {
   const { errors, kernels } = await opening();
+  kernels.plans.streaming.fadeSeconds = 0.25;
   const tileset = await (await fetch(address)).arrayBuffer();
   const failures = [];
   const open = () => {
@@ -286,49 +288,37 @@ export async function knownPathAndBudget(address, [first, last], options) {
 }
 
 /**
- * Stream a tileset along a journey in real time; draw what has come at some moments.
- * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, drawn: any, options: any}} journey
- *     `views` are world → camera, so many a second; tiles are chosen for `camera`, and pictures drawn with `drawn`.
+ * Stream a tileset along a journey; return the files that are drawn at some moments.
+ * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, slowness: number, options: any}} journey
+ *     `views` are world → camera, so many a second. The page's clock goes slower, as the server does.
  */
-export async function streamedJourney({ address, views, rate, moments, camera, drawn, slowness, options }) {
+export async function streamedJourney({ address, views, rate, moments, camera, slowness, options }) {
   const { kernels } = await opening();
-  // The page's clock goes slower, as the server does: the machine has to keep up with neither.
   performance.now = () => Performance.prototype.now.call(performance) / slowness;
   const tileset = await (await fetch(address)).arrayBuffer();
   const failures = [];
   const onError = ({ message }) => failures.push(message);
-  const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
   const begin = performance.now();
-  let isChanged = true;
-  const model = await openModel(kernels, tileset, address, { ...options, source: address, onChange: () => (isChanged = true), onError });
-  const renderer = new Renderer(kernels);
-  renderer.setScene(model.sets);
-  const shots = [];
-  const left = [...moments];
-  let [frame, frames, holes, shooting] = [-1, 0, 0, Promise.resolve()];
+  const model = await openModel(kernels, tileset, address, { ...options, source: address, onChange() {}, onError });
+  const [shots, left] = [[], [...moments]];
+  let [frame, frames, holes] = [-1, 0, 0];
   for (;;) {
     const now = (performance.now() - begin) / 1000;
     const next = Math.floor(now * rate);
     if (next >= views.length) break;
-    if (next > frame || isChanged) {
-      isChanged = false;
-      await model.update({}, { ...camera, view: views[next] });
-      if (next > frame) [frames, holes] = [frames + 1, holes + Number(model.statistics.holes > 0)];
+    if (next > frame) {
       frame = next;
+      await model.update({}, { ...camera, view: views[next] });
+      [frames, holes] = [frames + 1, holes + Number(model.statistics.holes > 0)];
       if (now >= left[0]) {
-        const moment = left.shift();
-        const { statistics } = model;
-        const files = model.drawn.flatMap(({ quality, files: [...names], uris }) => names[quality]?.uri ?? uris);
-        await renderer.draw({ ...drawn, view: views[next] });
-        shooting = renderer.readImage("color").then((image) => shots.push({ moment, now, statistics, frame: next, files, image: textOf(image) }));
+        const files = model.drawn.flatMap(({ quality, files: names, uris }) => names[quality]?.uri ?? uris);
+        shots.push({ moment: left.shift(), now, files });
       }
     }
-    await wait(5);
+    await new Promise((resolve) => setTimeout(resolve, 5));
   }
-  await shooting;
   delete performance.now;
   const { statistics } = model;
-  renderer.destroy();
   model.destroy();
   return { shots, failures, frames, holes, statistics };
 }

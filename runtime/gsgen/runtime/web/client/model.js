@@ -101,7 +101,6 @@ class StillModel {
  * @property {AbortSignal} [signal]
  * @property {number} [maxError] Error in pixels above which tiles are refined.
  * @property {number} [maxSplats] Most Gaussians of the page's tilesets in GPU memory.
- * @property {boolean} [fades] Whether tiles fade into those that replace them; true.
  * @property {(Blob | string)[]} [pictures] Of generators that are computed from pictures.
  * @property {string} [imageCameras] Address of the cameras of these pictures.
  * @property {string} [target] Whose limits and quirks rules of generators check.

@@ -202,7 +202,6 @@ export class TilesetModel {
     /** The opacity of each tile on the screen. @type {Map<Tile, number>} */
     this._fades = new Map();
     this._fadedAt = 0;
-    this._hasFades = options.fades ?? true;
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
@@ -291,15 +290,14 @@ export class TilesetModel {
   /** Fade tiles in that take the place of others, and those out; what comes into view is there at once. */
   _fade(time) {
     const { fadeSeconds, fadeStep } = this._rules;
-    const [before, step] = [this._fades, this._hasFades ? Math.min(time - this._fadedAt, fadeStep) / fadeSeconds : 1];
+    const [before, step] = [this._fades, Math.min(time - this._fadedAt, fadeStep) / fadeSeconds];
     const drawn = new Set(this.drawn);
-    const isReplaced = (tile) => replaces(tile, drawn);
     const entries = this.drawn.map((tile) => {
       const share = before.get(tile) ?? (replaces(tile, before) ? 0 : 1);
       return /** @type {[Tile, number]} */ ([tile, Math.min(share + step, 1)]);
     });
     for (const [tile, share] of before) {
-      if (!drawn.has(tile) && tile.slots && share > step && isReplaced(tile)) entries.push([tile, share - step]);
+      if (!drawn.has(tile) && tile.slots && share > step && replaces(tile, drawn)) entries.push([tile, share - step]);
     }
     [this._fades, this._fadedAt] = [new Map(entries), time];
     if (entries.some(([, share]) => share < 1)) this._options.onChange();
@@ -406,9 +404,7 @@ export class TilesetModel {
     tile.needed = parts.length;
     if (tile.slots?.length !== parts.length) this._release(tile);
     if (!tile.slots && this._room(tile) < parts.length) return;
-    while (!tile.slots && this._free.length < parts.length) {
-      this._release(this._oldest());
-    }
+    while (!tile.slots && this._free.length < parts.length) this._release(this._oldest());
     const slots = tile.slots ?? this._free.splice(-parts.length, parts.length);
     tile.slots = parts.map(([set, first], i) => {
       const { channels, antialias } = set;
