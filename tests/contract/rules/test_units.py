@@ -20,6 +20,7 @@ FIRST_NODES = {
     "as it is": ("u = Identity (time)", (0.0, 1.0), ""),
     "signed": ("a = Add (time, one) u = Mul (a, half)", (0.0, 1.0), "[-1, 1]"),
     "signed, divided": ("a = Add (one, time) u = Div (a, two)", (0.0, 1.0), "[-1, 1]"),
+    "signed, then faster": ("a = Add (time, one) b = Mul (a, half) u = Mul (b, radians)", (0.0, 1.0), "[-1, 1]"),
     "signed as declared": ("a = Add (time, one) u = Mul (a, half)", (-1.0, 1.0), ""),
     "a fade from a half": ("a = Mul (time, half) u = Add (a, half)", (0.0, 1.0), ""),
     "unit": ("a = Mul (time, two) u = Sub (a, one)", (-1.0, 1.0), "[0, 1]"),

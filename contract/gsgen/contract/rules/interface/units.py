@@ -98,7 +98,7 @@ def _fault_of(use: _Use, low: float, high: float) -> tuple[str, str] | None:
 
 
 def _uses(subject: InspectedModel, name: str) -> Iterator[_Use]:
-    """Yield how operators and outputs read an input, behind views, sums and factors of a number."""
+    """Yield what an input becomes after each view, sum with a number and factor, one by one."""
     readers: dict[str, list[NodeProto]] = {}
     for node in subject.graph.nodes:
         for read in dict.fromkeys(node.input):
@@ -110,17 +110,15 @@ def _uses(subject: InspectedModel, name: str) -> Iterator[_Use]:
     pending = [(name, 1.0, 0.0, False, 0)]
     while pending:
         tensor, scale, offset, is_shifted, depth = pending.pop()
-        if tensor in subject.graph.output_names:
-            yield _Use(scale, offset, is_shifted)
         for node in readers.get(tensor, ()) if depth < _MAX_DEPTH else ():
             step = _affine_step(node, tensor, weights)
             if step is None:
-                yield _Use(scale, offset, is_shifted)
                 continue
             factor, summand = step
             is_first = is_shifted or (summand != 0 and scale == 1.0)
             state = (factor * scale, factor * offset + summand, is_first, depth + 1)
             pending.append((node.output[0], *state))
+            yield _Use(*state[:3])
 
 
 def _affine_step(
