@@ -37,7 +37,7 @@ NOT_IN_PAGES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("GG011", "GG014", "GG015", "GG020"), _INFERENCE),
     **dict.fromkeys(("GG004", "GG005", "GG006", "GG007", "GG008", "GG009"), _INFERENCE),
     **dict.fromkeys(("GG017", "GG018", "GG026", "TV109"), _INFERENCE),
-    "GG025": "reads the values of weights",
+    **dict.fromkeys(("GG025", "GI037"), "reads the values of weights"),
     "GI045": "counts in float32 with NumPy",
     "GS002": "plans the runs of the model",
 }

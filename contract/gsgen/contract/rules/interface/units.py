@@ -107,7 +107,7 @@ def _uses(subject: InspectedModel, name: str) -> Iterator[_Use]:
     for node in subject.graph.nodes:
         if node.op_type == "Constant" and node.attribute and node.attribute[0].HasField("t"):
             weights[node.output[0]] = node.attribute[0].t
-    pending = [(name, 1.0, 0.0, False, 0)]
+    pending, seen = [(name, 1.0, 0.0, False, 0)], set[tuple[str, _Use]]()
     while pending:
         tensor, scale, offset, is_shifted, depth = pending.pop()
         for node in readers.get(tensor, ()) if depth < _MAX_DEPTH else ():
@@ -116,9 +116,11 @@ def _uses(subject: InspectedModel, name: str) -> Iterator[_Use]:
                 continue
             factor, summand = step
             is_first = is_shifted or (summand != 0 and scale == 1.0)
-            state = (factor * scale, factor * offset + summand, is_first, depth + 1)
-            pending.append((node.output[0], *state))
-            yield _Use(*state[:3])
+            use = _Use(factor * scale, factor * offset + summand, is_first)
+            if (node.output[0], use) not in seen:
+                seen.add((node.output[0], use))
+                pending.append((node.output[0], *use, depth + 1))
+                yield use
 
 
 def _affine_step(
