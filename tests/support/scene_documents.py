@@ -19,6 +19,18 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no_path": ({"models": [{}]}, r"models\[0\]\.path: is missing, expected text"),
     "no_list": ({"models": A}, r"models: is .* expected a list"),
     "no_model": ({"models": [3]}, r"models\[0\]: is 3, expected an object or a path"),
+    "segment_seconds": (
+        {"models": [{"segments": [A], "capacity": 9}]},
+        r"models\[0\]\.segments\[0\]\.seconds: is missing, expected seconds above 0",
+    ),
+    "segments_and_path": (
+        {"models": [A | {"segments": [A | {"seconds": 1}], "capacity": 9}]},
+        r"models\[0\]\.path: excludes `segments`",
+    ),
+    "no_capacity": (
+        {"models": [{"segments": [A | {"seconds": 1}]}]},
+        r"models\[0\]\.capacity: is the most Gaussians of `segments`",
+    ),
     "opacity": (
         {"models": [A | {"opacity_scale": -1}]},
         r"opacity_scale: is -1, expected a finite number from 0",

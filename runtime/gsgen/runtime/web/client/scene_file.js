@@ -116,7 +116,8 @@ export function readScene(document, name, warn) {
   const annotations = fields.parts("annotations").map((part) => annotationOf(part, up));
   const timeline = fields.nested("timeline");
   const keyed = [camera, ...[...models, ...posts].flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
-  const last = Math.max(0, ...keyed.flatMap(({ keys }) => keys.map(({ at }) => at)));
+  const lengths = models.map(({ segments }) => segments.reduce((sum, segment) => sum + segment.seconds, 0));
+  const last = Math.max(0, ...lengths, ...keyed.flatMap(({ keys }) => keys.map(({ at }) => at)));
   const seconds = timeline?.read("seconds", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? last;
   timeline?.read("fps", within(0.1, 100), "a number from 0.1 to 100");
   const loop = timeline?.read("loop", isSwitch, "true or false") ?? false;
@@ -128,9 +129,13 @@ export function readScene(document, name, warn) {
 
 /** @param {Fields} fields Of a model: its place, how it is drawn, and values or key frames of its inputs. */
 function modelOf(fields) {
-  const path = fields.required("path");
+  const segments = fields.parts("segments").map(segmentOf);
+  const capacity = fields.read("capacity", (value) => Number.isInteger(value) && within(1, 2 ** 30)(value), "a whole number from 1 to 1073741824");
+  if (segments.length && fields.document.path != null) fields.refuse("path", "excludes `segments`: leave one of them out");
+  if (Boolean(segments.length) !== (capacity !== null)) fields.refuse("capacity", "is the most Gaussians of `segments`: give both or neither");
   const model = {
-    path,
+    path: segments.length ? undefined : fields.required("path"),
+    segments,
     transform: transformOf(fields),
     opacity: fields.read("opacity_scale", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? 1,
     degree: fields.read("sh_degree", (value) => [0, 1, 2, 3].includes(value), "a whole number from 0 to 3"),
@@ -144,6 +149,13 @@ function modelOf(fields) {
   };
   fields.close();
   return model;
+}
+
+function segmentOf(fields) {
+  const seconds = fields.read("seconds", (value) => isNumber(value) && value > 0, "seconds above 0");
+  const segment = { path: fields.required("path"), seconds: seconds ?? fields.refuse("seconds", "is missing, expected seconds above 0"), where: fields.where };
+  fields.close();
+  return segment;
 }
 
 /** @param {Fields} fields Of a mesh: its place, how it is drawn, and the clip that it plays. */

@@ -12,6 +12,7 @@ import { eyeOf, viewOf } from "./camera.js";
 import { openModel } from "./model.js";
 import { valueOfTime } from "./playback.js";
 import { orbitOf, readScene } from "./scene_file.js";
+import { SegmentedModel } from "./segments.js";
 import { SplatBuffers } from "./splat_buffers.js";
 import { sourceFile } from "./source_files.js";
 
@@ -40,7 +41,7 @@ function localCamera(camera, transform) {
   return { ...camera, view, near: camera.near / scale, fx: camera.fx * zoom, fy: camera.fy * zoom };
 }
 
-/** A model on a stage. @typedef {import("./scene_file.js").SceneModel & {model: import("./model.js").Model, file: any}} Entry */
+/** A model on a stage. @typedef {import("./scene_file.js").SceneModel & {model: import("./model.js").Model}} Entry */
 
 /** Several models as one. */
 export class Stage {
@@ -67,24 +68,24 @@ export class Stage {
       return new URL(path, base).href;
     };
     const posts = scene.posts.map((post) => ({ ...post, address: addressOf(post) }));
-    const fileOf = async (part) => {
-      return sourceFile(addressOf(part));
-    };
     const openingMeshes = Promise.all(scene.meshes.map(async (part) => {
-      const [{ openMesh }, { address }] = await Promise.all([import("./stage_meshes.js"), fileOf(part)]);
+      const address = addressOf(part);
+      const { openMesh } = await import("./stage_meshes.js");
       const data = await download(address, undefined, options.signal);
       return openMesh(part, data, address.startsWith("#") ? base.href : address, warn);
     }));
     openingMeshes.catch(() => {}); // who waits for the stage gets its error
-    const opening = scene.models.map(async (part) => {
-      const file = await fileOf(part);
+    const openFile = async (part) => {
+      const file = sourceFile(addressOf(part));
       const own = { ...options, source: file.address, onProgress: undefined, onBegin: undefined };
       const model = await openModel(kernels, file, part.path, own);
-      if (model instanceof Stage) {
-        model.destroy();
-        throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });
-      }
-      return { ...part, model, file };
+      if (!(model instanceof Stage)) return model;
+      model.destroy();
+      throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });
+    };
+    const opening = scene.models.map(async (part) => {
+      const model = part.segments.length ? SegmentedModel.open(part.segments, openFile) : openFile(part);
+      return { ...part, model: await model };
     });
     const results = await Promise.allSettled(opening);
     const entries = results.flatMap((result) => (result.status === "fulfilled" ? [result.value] : []));
@@ -133,11 +134,10 @@ export class Stage {
     this.inputs = entries.flatMap(({ model }) => model.inputs);
     this.findings = entries.flatMap(({ model }) => model.findings ?? []);
     this.followsCamera = entries.some(({ model }) => model.followsCamera);
-    const buffers = entries.map(({ model }) => model.buffers);
     this.buffers = {
       isLinear: spaces.has(true),
       get count() {
-        return buffers.reduce((sum, { count }) => sum + count, 0);
+        return entries.reduce((sum, { model }) => sum + model.buffers.count, 0);
       },
     };
     const first = entries.find(({ isVisible }) => isVisible) ?? (meshes ? null : entries[0]);

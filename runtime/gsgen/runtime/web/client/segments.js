@@ -1,0 +1,70 @@
+/** Segments: files that follow each other in time, of which a page has the present one and the next. */
+
+import { remembered } from "./once.js";
+import { valueOfTime } from "./playback.js";
+
+/** Models of which each is shown for its seconds, as one. */
+export class SegmentedModel {
+  /**
+   * @param {{path: string, seconds: number, where: string}[]} segments
+   * @param {(segment: any) => Promise<import("./model.js").Model>} openModel
+   */
+  static async open(segments, openModel) {
+    const model = new SegmentedModel(segments, openModel);
+    model._shown = await model._open(0);
+    const { extent, up, findings, followsCamera } = model._shown;
+    return Object.assign(model, { extent, up, findings, followsCamera });
+  }
+
+  constructor(segments, openModel) {
+    this._segments = segments;
+    this._openModel = openModel;
+    /** @type {Map<number, Promise<import("./model.js").Model>>} */
+    this._opened = new Map();
+    const seconds = segments.reduce((sum, segment) => sum + segment.seconds, 0);
+    this.time = { name: "time", low: 0, high: seconds, seconds, loop: false };
+    this.inputs = [{ name: "time", role: "time", shape: [1], range: [0, seconds] }];
+  }
+
+  get sets() {
+    return this._shown.sets;
+  }
+
+  get buffers() {
+    return this._shown.buffers;
+  }
+
+  _open(index) {
+    return remembered(this._opened, index, () => {
+      const opening = this._openModel(this._segments[index]);
+      opening.catch(() => this._opened.delete(index)); // the next frame tries again
+      return opening;
+    });
+  }
+
+  /** Show a moment; return whether the pages are others than before. */
+  async update({ time = 0 }, camera) {
+    const { length } = this._segments;
+    let [index, start] = [0, 0];
+    while (index < length - 1 && time >= start + this._segments[index].seconds) start += this._segments[index++].seconds;
+    const next = (index + 1) % length;
+    const [model, before] = [await this._open(index), this._shown];
+    const share = Math.min((time - start) / this._segments[index].seconds, 1);
+    const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera);
+    this._shown = model;
+    this._open(next);
+    this._leave((other) => other !== index && other !== next);
+    return isChanged || model !== before;
+  }
+
+  _leave(isLeft) {
+    for (const [index, opening] of [...this._opened].filter(([other]) => isLeft(other))) {
+      this._opened.delete(index);
+      opening.then((model) => model.destroy(), () => {});
+    }
+  }
+
+  destroy() {
+    this._leave(() => true);
+  }
+}

@@ -1,0 +1,80 @@
+"""Clips in pages: segments are fetched as time goes on, and drawn as Python draws them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from support.commands import gsgen_here
+from support.web.pages import WebSite
+from support.web.scene_pages import HEIGHT, WIDTH, decibels, picture, rendered, shown
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ort")]
+
+_PAGE = f"""<!doctype html><meta charset=utf-8>
+  <style>gsgen-scene {{ width: {WIDTH}px; height: {HEIGHT}px; aspect-ratio: auto }}</style>
+  <script type=module src=/client/scene.js></script><body></body>""".encode()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip of four segments, the first of them a still, and a splat file."""
+    folder = tmp_path_factory.mktemp("clips")
+    write_sequence(folder / "frames", rows=400, frames=10)
+    write_ply(folder / "still.ply", torus_knot(300, degree=1))
+    arguments = ("export", "sequence", str(folder / "frames"), "-o", str(folder / "clip.json"))
+    options = ("--fps", "10", "--segment", "0.3", "--loop", "--level", "static", "--moments", "0")
+    ran = gsgen_here(*arguments, *options)
+    assert ran.code == 0, ran.err
+    return folder
+
+
+@pytest.fixture
+def page(site: WebSite, folder: Path) -> Any:
+    for path in folder.rglob("*"):
+        if path.is_file():
+            site.contents[f"/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
+    site.contents["/scenes.html"] = _PAGE
+    site.open("/scenes.html")
+    site.page.wait_for_function("Boolean(customElements.get('gsgen-scene'))")
+    return site.page
+
+
+def test_two_clips_and_a_still_are_drawn_as_in_python_and_fetched_as_time_goes_on(
+    page: Any, site: WebSite, folder: Path, renderer: Renderer
+) -> None:
+    segments = [
+        {"path": f"clip/000{number}.{'onnx' if number else 'sog'}", "seconds": seconds}
+        for number, seconds in enumerate((0.1, 0.3, 0.3, 0.3))
+    ]
+    camera = Camera.look_at([0.4, -1.2, -7.0], [0, 0, 0], width=WIDTH, height=HEIGHT, fov_y=40)
+    document = {
+        "models": [
+            {"path": "still.ply", "translate": [0, 1.5, 0.5], "scale": 0.6},
+            {"segments": segments, "capacity": 400},
+            {"path": "clip/0002.onnx", "translate": [-1.5, 0, 1]},
+        ],
+        "camera": {"view": camera.view.tolist(), "fx": camera.fx, "fy": camera.fy}
+        | {"cx": camera.cx, "cy": camera.cy, "width": WIDTH, "height": HEIGHT},
+        "timeline": {"seconds": 1, "fps": 4},
+    }
+    site.requests.clear()
+    result = shown(site, document)
+    assert result["errors"] == result["warnings"] == []
+    assert result["duration"] == 1
+    assert "/clip/0000.sog" in site.requests
+    assert "/clip/0003.onnx" not in site.requests
+    images = rendered(folder, document, renderer, frames=5)  # at 0, 0.25, 0.5, 0.75 and 1 seconds
+    for number in (0, 1, 3, 4, 2):
+        assert decibels(picture(page, number / 4), images[number]) >= 60
+    assert np.abs(images[0] - images[2]).max() > 0.2
+    opened = page.evaluate(
+        "[...document.querySelector('gsgen-scene').stage.entries[1].model._opened.keys()]"
+    )
+    assert len(opened) == 2
