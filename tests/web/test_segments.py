@@ -78,3 +78,4 @@ def test_two_clips_and_a_still_are_drawn_as_in_python_and_fetched_as_time_goes_o
         "[...document.querySelector('gsgen-scene').stage.entries[1].model._opened.keys()]"
     )
     assert len(opened) == 2
+    assert [error for error in site.errors if error.startswith("page:")] == []
