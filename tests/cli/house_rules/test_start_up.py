@@ -57,7 +57,7 @@ def test_only_the_reporter_that_is_asked_for_is_imported(good: Path) -> None:
         head = "gsgen.contract.reporters."
         return {name.removeprefix(head) for name in names if name.startswith(head)}
 
-    assert reporters() == {"summary", "text"}
+    assert reporters() == {"rule_pages", "summary", "text"}
     # The reporters themselves are imported by name, which the interpreter does not list.
     assert reporters("--format", "json") == {"document", "rule_pages"}
     assert reporters("--format", "junit") == {"summary"}
