@@ -126,7 +126,12 @@ _TINY = 1e-12
 Picture = Float[np.ndarray, "3 h w"]
 
 
-@rule("GB063", Severity.WARNING, needs=(*REPRODUCIBLE, "GV055", "GV056"), kinds=(POST_PROCESS,))
+@rule(
+    "GB063",
+    Severity.WARNING,
+    needs=(*REPRODUCIBLE, "GM039", "GV055", "GV056"),
+    kinds=(POST_PROCESS,),
+)
 def picture_keeps_its_place(behaviour: Behaviour) -> Iterator[Violation]:
     """A picture comes out upright, unmirrored, where it was, and with red, green and blue in order.
 
