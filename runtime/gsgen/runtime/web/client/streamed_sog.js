@@ -18,14 +18,11 @@ const isIndex = (x) => Number.isInteger(x) && x >= 0;
 export async function tilesetOf({ filenames, tree, environment }, address) {
   const fail = failing(address, "Download it again.");
   if (!Array.isArray(filenames)) fail("has no list of filenames");
-  const leaves = [];
-  for (const nodes = [tree]; nodes.length; ) {
-    const node = nodes.pop();
-    if (node?.children?.length) nodes.push(...node.children.toReversed());
-    else leaves.push(node);
-  }
-  const levelsOf = (leaf) => Object.keys(leaf?.lods ?? {}).filter((key) => /^\d+$/.test(key)).map(Number).sort((a, b) => a - b);
-  const coarsest = Math.max(...leaves.flatMap(levelsOf));
+  const leavesOf = (node) => (node?.children?.length ? node.children.flatMap(leavesOf) : [node]);
+  const leaves = leavesOf(tree);
+  const hasRows = (leaf, key) => /^\d+$/.test(key) && leaf.lods[key]?.count !== 0;
+  const levelsOf = (leaf) => Object.keys(leaf?.lods ?? {}).filter((key) => hasRows(leaf, key)).map(Number).sort((a, b) => a - b);
+  const coarsest = leaves.flatMap(levelsOf).reduce((most, level) => Math.max(most, level), 0);
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const children = leaves.map((leaf) => {
     const { min, max } = leaf?.bound ?? {};
@@ -34,11 +31,11 @@ export async function tilesetOf({ filenames, tree, environment }, address) {
     const box = boxOf(min, max);
     let tile;
     for (const level of levelsOf(leaf)) {
-      const { file, offset, count } = leaf.lods[level];
-      if (![file, offset, count].every(isIndex) || count < 1 || file >= filenames.length) fail(`has a leaf with the levels ${JSON.stringify(leaf.lods)}`);
+      const { file, offset, count } = leaf.lods[level] ?? {};
       // Errors are squared differences of pictures; those of cells on a surface are the default.
-      const share = Math.sqrt(leaf.errors?.[level] ?? 16 / count);
-      const geometricError = tile ? Math.max(tile.geometricError, 2 * Math.hypot(...box.slice(3)) * share) : 0;
+      const share = leaf.errors?.[level] ?? 16 / count;
+      if (![file, offset, count].every(isIndex) || file >= filenames.length || !(share >= 0)) fail(`has a leaf with the levels ${JSON.stringify(leaf.lods)} and errors ${leaf.errors}`);
+      const geometricError = tile ? Math.max(tile.geometricError, 2 * Math.hypot(...box.slice(3)) * Math.sqrt(share)) : 0;
       const metadata = { properties: { splats: count, bytes: [BYTES_PER_SPLAT * count] } };
       const own = { content: { uri: filenames[file] }, rows: [offset, count], level: 1 + coarsest - level };
       tile = { ...own, boundingVolume: { box }, geometricError, refine: "REPLACE", metadata, children: tile ? [tile] : [] };
