@@ -33,8 +33,11 @@ export function inTurns() {
   };
 }
 
-/** Return the value of a key in a map, which is made if it is absent. */
-export function remembered(map, key, make) {
-  if (!map.has(key)) map.set(key, make());
-  return map.get(key);
+/** Return the value of a key in a map, made if it is absent; beyond `most`, the key that was asked for first goes. */
+export function remembered(map, key, make, most = Infinity) {
+  const value = map.has(key) ? map.get(key) : make();
+  map.delete(key);
+  map.set(key, value);
+  if (map.size > most) map.delete(map.keys().next().value);
+  return value;
 }

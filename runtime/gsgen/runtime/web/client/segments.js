@@ -7,11 +7,11 @@ import { valueOfTime } from "./playback.js";
 export class SegmentedModel {
   /**
    * @param {{path: string, seconds: number, where: string}[]} segments
-   * @param {(segment: any) => Promise<import("./model.js").Model>} openModel
+   * @param {(segment: any, signal?: AbortSignal) => Promise<import("./model.js").Model>} openModel The first has no signal.
    */
   static async open(segments, openModel) {
     const model = new SegmentedModel(segments, openModel);
-    model._shown = await model._open(0);
+    model._shown = await model._open(0, null);
     const { extent, up, findings, followsCamera } = model._shown;
     return Object.assign(model, { extent, up, findings, followsCamera });
   }
@@ -21,6 +21,8 @@ export class SegmentedModel {
     this._openModel = openModel;
     /** @type {Map<number, Promise<import("./model.js").Model>>} */
     this._opened = new Map();
+    this._lost = -1; // the next segment, if it could not be had before its time
+    this._stop = new AbortController();
     const seconds = segments.reduce((sum, segment) => sum + segment.seconds, 0);
     this.time = { name: "time", low: 0, high: seconds, seconds, loop: false };
     this.inputs = [{ name: "time", role: "time", shape: [1], range: [0, seconds] }];
@@ -34,10 +36,10 @@ export class SegmentedModel {
     return this._shown.buffers;
   }
 
-  _open(index) {
+  _open(index, signal = /** @type {AbortSignal | null} */ (this._stop.signal)) {
     return remembered(this._opened, index, () => {
-      const opening = this._openModel(this._segments[index]);
-      opening.catch(() => this._opened.delete(index)); // the next frame tries again
+      const opening = this._openModel(this._segments[index], signal ?? undefined);
+      opening.catch(() => this._opened.get(index) === opening && this._opened.delete(index)); // the next frame tries again
       return opening;
     });
   }
@@ -52,7 +54,7 @@ export class SegmentedModel {
     const share = Math.min((time - start) / this._segments[index].seconds, 1);
     const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera);
     this._shown = model;
-    this._open(next);
+    if (next !== this._lost) this._open(next).then(() => (this._lost = -1), () => (this._lost = next));
     this._leave((other) => other !== index && other !== next);
     return isChanged || model !== before;
   }
@@ -65,6 +67,7 @@ export class SegmentedModel {
   }
 
   destroy() {
+    this._stop.abort();
     this._leave(() => true);
   }
 }

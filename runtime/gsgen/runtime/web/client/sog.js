@@ -11,7 +11,7 @@ const AGAIN = "Download it again, or convert it: gsgen convert FILE model.spz";
 
 /** The images of files of which parts are read. @type {Map<string, Promise<any>>} */
 const decoded = new Map();
-const MOST_DECODED = 4;
+const MOST_DECODED = 5;
 
 /** @type {WebGL2RenderingContext | null} */
 let context = null;
@@ -60,8 +60,7 @@ async function writeSog(meta, fetchBytes, name, /** @type {import("./splat_files
   const fail = failing(name, AGAIN);
   const read = () => imagesOf(meta, fetchBytes, fail);
   try {
-    if (decoded.size > MOST_DECODED) decoded.delete(decoded.keys().next().value);
-    await decode(meta, await (range ? remembered(decoded, name, read) : read()), name, sink, range, fail);
+    await decode(meta, await (range ? remembered(decoded, name, read, MOST_DECODED) : read()), name, sink, range, fail);
   } catch (error) {
     decoded.delete(name);
     if (error instanceof GsgenError || error.name === "AbortError") throw error;
@@ -83,9 +82,7 @@ async function imagesOf(meta, fetchBytes, fail) {
   const { version = 1, means, scales, quats, sh0, shN } = meta;
   if (version !== 1 && version !== 2) fail(`has version ${version} of SOG, expected 1 or 2`);
   const count = countOf(meta);
-  const read = async ({ files }, needed = count) => {
-    return Promise.all(files.map(async (file) => pixelsOf(await fetchBytes(file), needed, fail)));
-  };
+  const read = ({ files }, needed = count) => Promise.all(files.map(async (file) => pixelsOf(await fetchBytes(file), needed, fail)));
   // One image after the other: their pixels take more memory than their files.
   const [[low, high], [sizes], [turns], [colors]] = [await read(means), await read(scales), await read(quats), await read(sh0)].map(
     (images) => images.map(({ pixels }) => pixels),

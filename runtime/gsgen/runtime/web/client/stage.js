@@ -75,9 +75,9 @@ export class Stage {
       return openMesh(part, data, address.startsWith("#") ? base.href : address, warn);
     }));
     openingMeshes.catch(() => {}); // who waits for the stage gets its error
-    const openFile = async (part) => {
+    const openFile = async (part, signal = options.signal) => {
       const file = sourceFile(addressOf(part));
-      const own = { ...options, source: file.address, onProgress: undefined, onBegin: undefined };
+      const own = { ...options, signal, source: file.address, onProgress: undefined, onBegin: undefined };
       const model = await openModel(kernels, file, part.path, own);
       if (!(model instanceof Stage)) return model;
       model.destroy();
