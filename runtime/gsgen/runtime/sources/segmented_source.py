@@ -89,6 +89,7 @@ class SegmentedSource(Source):
             first = self._source(0)
             self.up, self.space = first.up, first.space
             self.antialias, self.color_space = first.antialias, first.color_space
+            self.weighted = first.weighted
             self.data = SplatData(
                 np.zeros((capacity, first.data.rows.shape[1]), np.float32),
                 np.zeros((capacity, first.data.appearance.shape[1]), np.float32),
@@ -111,6 +112,9 @@ class SegmentedSource(Source):
         following = (index + 1) % len(self._segments)
         for other in self._opened.keys() - {index, following}:
             self._close(self._opened.pop(other))
+        opened = self._opened.get(index)
+        if opened is not None and opened.done() and opened.exception() is not None:
+            del self._opened[index]  # in vain before its time: it is tried again
         for number in (index, following):
             if number not in self._opened:
                 path = self._segments[number].path
@@ -150,12 +154,16 @@ class SegmentedSource(Source):
 
     def _take(self, path: Path, source: Source) -> None:
         """Copy the Gaussians of a segment into arrays of the capacity."""
+        if source.pools or source.meshes:
+            message = "is a tileset or has a mesh, expected a splat file or a generator"
+            raise SceneInvalid(message, where=str(path), hint="Give it a model of its own.")
         data, channels = source.data, self.data.appearance.shape[1]
         facts = (data.space, source.antialias, source.color_space, data.origin)
         expected = (self.data.space, self.antialias, self.color_space, self.data.origin)
-        if facts != expected or data.appearance.shape[1] > channels:
+        is_other = facts != expected or source.weighted != self.weighted
+        if is_other or data.appearance.shape[1] > channels:
             message = f"has {facts} of {data.appearance.shape[1]} numbers, expected {expected} of {channels}"
-            hint = "Segments have colours of one kind, and one antialiasing and origin."
+            hint = "Segments have colours, blending, antialiasing and origin of one kind."
             raise SceneInvalid(message, where=str(path), hint=hint)
         if data.count > self._capacity:
             message = f"has {data.count:,} Gaussians, expected at most {self._capacity:,}"
@@ -167,21 +175,25 @@ class SegmentedSource(Source):
         self.data.update(rows, appearance, data.count)
 
     @property
+    def _present(self) -> Source | None:
+        """The source of the present time; None if its file could not be opened."""
+        opened = self._opened.get(self._index())
+        return None if opened is None or opened.exception() is not None else opened.result()
+
+    @property
     def ready(self) -> bool:
         """Whether the segment has computed the moment that :meth:`start` requested."""
-        return self._opened[self._index()].result().ready
+        return self._present is None or self._present.ready
 
     def abandon(self) -> None:
         """Wait for the moment that :meth:`start` requested, and discard its result or error."""
-        opened = self._opened.get(self._index())
-        if opened is not None and opened.exception() is None:
-            opened.result().abandon()
+        if self._present is not None:
+            self._present.abandon()
 
     def interrupt(self) -> None:
         """Stop computing the moment that :meth:`start` requested."""
-        opened = self._opened.get(self._index())
-        if opened is not None and opened.exception() is None:
-            opened.result().interrupt()
+        if self._present is not None:
+            self._present.interrupt()
 
     def hold_frames(self, frames: int) -> bool:
         """Return True: each frame has arrays of its own."""
