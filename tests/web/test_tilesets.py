@@ -146,6 +146,13 @@ def test_tiles_are_kept_where_a_server_does_not_say_for_how_long(
             frames_of(site, site.address + base, CAMERAS[:1])
             asked = [name for name in site.requests if name.endswith(".glb")]
             assert bool(asked) is (visit == 0 or bool(headers))
+    # What a server sends in place of a tile is not kept.
+    uri = min(expected_sets(folder, CAMERAS[0]))
+    site.contents |= {f"/mended/{name}": path.read_bytes() for name, path in files.items()}
+    site.contents[f"/mended/{uri}"] = b"<!doctype html>"
+    assert frames_of(site, f"{site.address}/mended", CAMERAS[:1])["failures"]
+    site.contents[f"/mended/{uri}"] = files[uri].read_bytes()
+    assert frames_of(site, f"{site.address}/mended", CAMERAS[:1])["failures"] == []
 
 
 def test_damaged_tile_is_reported_and_others_are_drawn(

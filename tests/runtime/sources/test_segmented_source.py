@@ -28,7 +28,7 @@ def files(tmp_path: Path) -> list[Path]:
 def splats(count: int) -> Splats:
     return Splats(
         position=np.zeros((count, 3), np.float32),
-        rotation=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        rotation=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         log_scale=np.zeros((count, 3), np.float32),
         logit_opacity=np.zeros(count, np.float32),
         sh=np.zeros((count, 1, 3), np.float32),

@@ -3,9 +3,18 @@
 import { ByteSource } from "./byte_source.js";
 import { GsgenError, failing } from "./errors.js";
 
-const IMMUTABLE = /-[0-9a-f]{8}\.(glb|subtree|sog)$/; // files of tiles
+const IMMUTABLE = /-([0-9a-f]{8})\.glb$/; // files of tiles, with the digest of their bytes
 const MOST_KEPT = 1000;
 const TRANSIENT = [408, 425, 429, 500, 502, 503, 504]; // states that another attempt may not meet
+
+/** Keep a file, if its name has the digest of its bytes: others may be of a date, or no tile. */
+async function keep(kept, address, response) {
+  const digest = await crypto.subtle.digest("SHA-256", await response.clone().arrayBuffer());
+  if (new DataView(digest).getUint32(0) !== parseInt(IMMUTABLE.exec(address)?.[1] ?? "", 16)) return;
+  const names = await kept.keys();
+  if (names.length >= MOST_KEPT) await kept.delete(names[0]);
+  await kept.put(address, response);
+}
 
 /** Fetch a file; one whose name changes with its bytes is kept, if the server does not say for how long. */
 async function fetched(address, init) {
@@ -14,9 +23,7 @@ async function fetched(address, init) {
   if (known) return known;
   const response = await fetch(address, init);
   if (!kept || !response.ok || ["Cache-Control", "Expires"].some((name) => response.headers.has(name))) return response;
-  const names = await kept.keys();
-  if (names.length >= MOST_KEPT) await kept.delete(names[0]);
-  kept.put(address, response.clone()).catch(() => {}); // cut off, or there is no space
+  keep(kept, address, response.clone()).catch(() => {}); // cut off, or there is no space
   return response;
 }
 
@@ -31,13 +38,10 @@ export async function openSource(address, name = address, onProgress = () => {},
     const hint = "Is the address right, and may this page read it (CORS)?";
     throw new GsgenError(`cannot be loaded: ${problem}`, { where: address, hint, isTransient });
   };
-  let response;
-  try {
-    response = await fetched(address, { signal, cache });
-  } catch (error) {
+  const response = await fetched(address, { signal, cache }).catch((error) => {
     if (signal?.aborted) throw error;
     return fail(error.message, true);
-  }
+  });
   if (!response.ok) fail(`${response.status} ${response.statusText}`, TRANSIENT.includes(response.status));
   const length = Number(response.headers.get("Content-Length") ?? 0);
   // Packed by the server, a file is longer than its header says; other origins hide whether it is.

@@ -73,9 +73,8 @@ export class PlacedModel {
   /** Compute the Gaussians of the present time; return whether the pages are others than before. */
   async _update(camera, inputs) {
     const { model, playback } = this;
-    const hasPath = playback && !playback.paused && this._cameraIn(0, camera);
     const time = playback && model.time ? { [model.time.name]: playback.value } : {};
-    const path = hasPath ? (seconds) => this._cameraIn(seconds, camera) : null;
+    const path = playback && !playback.paused && this._cameraIn(0, camera) ? (seconds) => this._cameraIn(seconds, camera) : null;
     const isChanged = await model.update({ ...time, ...inputs }, camera, path);
     if (!this.isDestroyed) this.isStale = false;
     return isChanged;

@@ -12,7 +12,6 @@ const boxOf = (low, high) => {
   const [x, y, z] = low.map((side, axis) => (high[axis] - side) / 2);
   return [...low.map((side, axis) => (side + high[axis]) / 2), x, 0, 0, 0, y, 0, 0, 0, z];
 };
-const isIndex = (x) => Number.isInteger(x) && x >= 0;
 
 /** Return the tileset of a `lod-meta.json`: below its root, each leaf is a chain of its levels, the finest last. */
 export async function tilesetOf({ filenames, tree, environment }, address) {
@@ -20,8 +19,7 @@ export async function tilesetOf({ filenames, tree, environment }, address) {
   if (!Array.isArray(filenames)) fail("has no list of filenames");
   const leavesOf = (node) => (node?.children?.length ? node.children.flatMap(leavesOf) : [node]);
   const leaves = leavesOf(tree);
-  const hasRows = (leaf, key) => /^\d+$/.test(key) && leaf.lods[key]?.count !== 0;
-  const levelsOf = (leaf) => Object.keys(leaf?.lods ?? {}).filter((key) => hasRows(leaf, key)).map(Number).sort((a, b) => a - b);
+  const levelsOf = (leaf) => Object.keys(leaf?.lods ?? {}).filter((key) => /^\d+$/.test(key) && leaf.lods[key]?.count !== 0).map(Number).sort((a, b) => a - b);
   const coarsest = leaves.flatMap(levelsOf).reduce((most, level) => Math.max(most, level), 0);
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const children = leaves.map((leaf) => {
@@ -34,7 +32,7 @@ export async function tilesetOf({ filenames, tree, environment }, address) {
       const { file, offset, count } = leaf.lods[level] ?? {};
       // Errors are squared differences of pictures; those of cells on a surface are the default.
       const share = leaf.errors?.[level] ?? 16 / count;
-      if (![file, offset, count].every(isIndex) || file >= filenames.length || !(share >= 0)) fail(`has a leaf with the levels ${JSON.stringify(leaf.lods)} and errors ${leaf.errors}`);
+      if (![file, offset, count].every((x) => Number.isInteger(x) && x >= 0) || file >= filenames.length || !(share >= 0)) fail(`has a leaf with the levels ${JSON.stringify(leaf.lods)} and errors ${leaf.errors}`);
       const geometricError = tile ? Math.max(tile.geometricError, 2 * Math.hypot(...box.slice(3)) * Math.sqrt(share)) : 0;
       const metadata = { properties: { splats: count, bytes: [BYTES_PER_SPLAT * count] } };
       const own = { content: { uri: filenames[file] }, rows: [offset, count], level: 1 + coarsest - level };
@@ -43,8 +41,7 @@ export async function tilesetOf({ filenames, tree, environment }, address) {
     return tile ?? fail(`has a leaf with the levels ${JSON.stringify(leaf?.lods)}`);
   });
   const box = boxOf(low, high);
-  const content = environment ? { content: { uri: environment } } : {};
-  const root = { ...content, boundingVolume: { box }, geometricError: 2 * Math.hypot(...box.slice(3)), refine: "ADD", transform: Z_UP, children };
+  const root = { content: environment ? { uri: environment } : undefined, boundingVolume: { box }, geometricError: 2 * Math.hypot(...box.slice(3)), refine: "ADD", transform: Z_UP, children };
   const isMeta = filenames[0].endsWith("meta.json");
   const first = isMeta ? parsedJson(await download(String(new URL(filenames[0], address)))) : { shN: {} };
   const degree = first?.shN ? (first.shN.bands ?? MOST_DEGREE) : 0;
