@@ -153,10 +153,12 @@ class PathPrefetch:
         """Forget the frames up to the one that is drawn now."""
         if self._frame_times is not None:
             self._frame = bisect_right(self._frame_times, pose.time)
-            return
-        ahead = range(self._frame, len(self._frustums))
-        matches = (i for i in ahead if np.array_equal(self._frustums[i].eye, pose.position))
-        self._frame = next(matches, self._frame)
+        else:
+            ahead = range(self._frame, len(self._frustums))
+            matches = (i for i in ahead if np.array_equal(self._frustums[i].eye, pose.position))
+            self._frame = next(matches, self._frame)
+        for frame in [frame for frame in self._orders if frame < self._frame]:
+            del self._orders[frame]
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the missing tiles of the frames to come, the earliest first, as far as they fit."""
