@@ -128,7 +128,7 @@ def test_tiles_of_a_known_path_come_before_they_are_seen_and_fade_in(
     assert len(during) > len(after)  # what is replaced is drawn, too
     assert any(0 < opacity < 1 for opacity in during)
     assert set(after) == {1}
-    assert [state["slots"] for state in result["shared"]] == [10, 10]
+    assert [state["slots"] for state in result["shared"]] == [10, 10, 10]
     assert result["again"]["slots"] == alone["slots"] == 20
 
 

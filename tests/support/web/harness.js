@@ -282,6 +282,8 @@ export async function knownPathAndBudget(address, [first, last], options) {
   const other = await open();
   const shared = [await settle(last), { slots: other.sets.length }];
   other.destroy();
+  await other.update({}, last); // as of a scene that goes in the midst of a frame
+  shared.push({ slots: other.sets.length });
   const again = await settle(last);
   model.destroy();
   return { alone, ahead, arrived, fades, shared, again, failures, errors: errors.splice(0) };

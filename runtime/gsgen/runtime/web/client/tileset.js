@@ -336,7 +336,7 @@ export class TilesetModel {
 
   /** Take the own share of the slots of all tilesets in the page; return whether it has changed. */
   _resize() {
-    const length = Math.max(Math.floor(this._budget / neighbours.size), 1);
+    const length = neighbours.has(this) ? Math.max(Math.floor(this._budget / neighbours.size), 1) : this.sets.length;
     const before = this.sets.length;
     if (length > before) this._free.push(...Array.from({ length: length - before }, this._newSlot));
     while (this._free.length < before - length) this._release(this._oldest());
