@@ -37,7 +37,8 @@ _Workers = Annotated[
     int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
 ]
 _QualityCount = Annotated[
-    int, typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3)
+    int,
+    typer.Option(help="How many qualities of SPZ to write, each a tileset-qN.json.", min=1, max=3),
 ]
 _Codec = Annotated[
     Literal["spz", "khr", "sog"],
