@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec import layout
-from gsgen.formats import Splats, write_ply
+from gsgen.formats import Splats, write_ply, write_sog
 from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.sources.opening import open_source
@@ -156,3 +156,32 @@ def test_too_few_frames_are_refused(tmp_path: Path) -> None:
     assert ran.code == 2
     assert "has 2 frames, expected three or more for segments" in ran.err
     assert not scene.exists()
+
+
+def test_a_folder_with_files_of_others_is_refused(tmp_path: Path) -> None:
+    """Frames that are named like segments are neither replaced nor removed, nor is any other file."""
+    frames = tmp_path / "clip"
+    frames.mkdir()
+    rng = np.random.default_rng(0)
+    for number in range(3):
+        write_sog(frames / f"{number:04}.sog", random_splats(rng, 20))
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "0007.sog").write_bytes(b"kept")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*.sog")}
+    for name, place in (("clip", frames), ("other", other / "0007.sog")):
+        scene = tmp_path / f"{name}.json"
+        ran = gsgen_here("export", "sequence", str(frames), "-o", str(scene), *OPTIONS)
+        assert ran.code == 2
+        assert str(place) in ran.err
+        assert "expected a folder for" in ran.err
+        assert not scene.exists()
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+
+
+def test_an_export_replaces_its_own_segments(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "frames", rows=20, frames=4)
+    export(tmp_path, *OPTIONS[:2], "--segment", "0.1", *OPTIONS[4:])
+    (tmp_path / "clip" / "notes.txt").write_text("kept")
+    written = export(tmp_path, *OPTIONS)
+    assert set(written) == {"clip.json", "0000.sog", "0001.onnx", "notes.txt"}

@@ -2,9 +2,10 @@
 
 A player opens the segment of its moment, and the next. The first segment is the first frame as SOG,
 so that a picture is there before a clip is. Frames that share too few Gaussians for a clip are SOG
-files, too: each has a set of its own, and sets are never blended. Each segment is a task that writes its file whole, and a
-record of its inputs: a stopped export resumes after its last segment, and any engine writes the same
-bytes.
+files, too: each has a set of its own, and sets are never blended. Each segment is a task that writes
+its file whole, and a record of its inputs: a stopped export resumes after its last segment, and any
+engine writes the same bytes. The folder of the segments is theirs: one that holds frames, or
+segments of another origin, is refused.
 """
 
 __all__ = ["ClipExport"]
@@ -128,9 +129,7 @@ class ClipExport(GraphSource):
         progress = options.pop("progress")
         folder = path.with_suffix("")
         name = options.pop("name") or path.stem
-        if folder.exists() and not folder.is_dir():
-            message = "is a file, expected a folder for the segments"
-            raise ConfigInvalid(message, where=str(folder), hint="Name another scene file.")
+        _require_own_folder(folder, path, self.files.paths)
         (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
         tasks = list(self._tasks(folder, {**options, "name": name}))
         records: dict[int, dict[str, Any]] = {}
@@ -254,11 +253,11 @@ class _SegmentTask:
 def _export_segment(task: _SegmentTask) -> dict[str, Any]:
     """Write a segment unless its record says that it is there; return the record."""
     folder, stem = task.file.parent, task.file.stem
-    record_file = folder / _RECORDS / f"{stem}.json"
-    key = task.key()
+    # A segment whose record is of other inputs is written again.
+    record_file = folder / _RECORDS / f"{stem}-{task.key()}.json"
     if record_file.exists():
         record: dict[str, Any] = read_json(record_file)
-        if record["key"] == key and all((folder / file).exists() for file in record["files"]):
+        if all((folder / file).exists() for file in record["files"]):
             return record
     if not task.is_clip:
         record = task.stills({task.file: task.numbers[0]})
@@ -274,9 +273,28 @@ def _export_segment(task: _SegmentTask) -> dict[str, Any]:
                 f"frames {numbers[0]} to {numbers[-1]} share too few Gaussians for a clip: each has "
                 "a file of its own"
             ]
-    record["key"] = key
     write_json(record_file, record)
     return record
+
+
+def _require_own_folder(folder: Path, scene: Path, frames: Sequence[Path]) -> None:
+    """Raise if segments would replace files that are none of an earlier export to ``scene``."""
+    hint = "Name another scene file."
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        message = "is a file, expected a folder for the segments"
+        raise ConfigInvalid(message, where=str(folder), hint=hint)
+    if any(frame.parent.samefile(folder) for frame in frames):
+        message = "holds the frames, expected a folder for the segments alone"
+        raise ConfigInvalid(message, where=str(folder), hint=hint)
+    if (folder / _RECORDS).exists():  # of an export that was stopped
+        return
+    earlier = scene.read_text("utf-8", "replace") if scene.is_file() else ""
+    for file in sorted(folder.iterdir()):
+        if _SEGMENT_NAME.fullmatch(file.name) and f'/{file.name}"' not in earlier:
+            message = f"is no segment of {scene}, expected a folder for its segments alone"
+            raise ConfigInvalid(message, where=str(file), hint=hint)
 
 
 def _remove_others(folder: Path, files: Sequence[Path]) -> None:
