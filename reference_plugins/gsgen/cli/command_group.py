@@ -6,6 +6,7 @@ __all__ = [
 ]  # fmt: skip
 
 import functools
+import math
 import os
 import re
 import shlex
@@ -27,7 +28,7 @@ from gsgen.contract._entry_points import (
     short_repr,
 )
 from gsgen.contract._safe_text import for_shell, printable
-from gsgen.contract.errors import ExitCode, UnknownName
+from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 
 # A command that only reports why it cannot run accepts all arguments.
 PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
@@ -178,27 +179,48 @@ def _click_command(name: str, loaded: Any, settings: dict[str, Any], help: str |
 
 
 def with_fetched_inputs(command: Any) -> Any:
-    """Let a click command and its subcommands fetch the inputs that are addresses; return it."""
+    """Return a click command that fetches inputs at addresses, and refuses endless numbers.
+
+    So do its subcommands.
+    """
     for subcommand in getattr(command, "commands", {}).values():
         with_fetched_inputs(subcommand)
     if command.callback is not None and not hasattr(command, "commands"):
         # Only click's type of paths has this attribute.
         paths = {item.name for item in command.params if hasattr(item.type, "resolve_path")}
         texts = {item.name for item in command.params if getattr(item.type, "allow_dash", False)}
-        command.callback = _fetching(command.callback, paths, texts)
+        ranges = {item.name: item.opts[0] for item in command.params if _has_range(item)}
+        command.callback = _fetching(command.callback, paths, texts, ranges)
     return command
 
 
+def _has_range(parameter: Any) -> bool:
+    bounds = _bounds_of(parameter)
+    return any(getattr(bounds, name, None) is not None for name in ("min", "max"))
+
+
+def _bounds_of(parameter: Any) -> Any:
+    """Return what has the range of a number: until typer 0.28 the type, since then the parameter."""
+    return parameter if hasattr(parameter, "min") else getattr(parameter, "type", None)
+
+
 def _fetching(
-    run: Callable[..., Any], path_parameters: set[str], text_outputs: set[str]
+    run: Callable[..., Any],
+    path_parameters: set[str],
+    text_outputs: set[str],
+    ranges: dict[str, str],
 ) -> Callable[..., Any]:
     """Return a command's function that fetches its inputs before it runs.
 
-    ``text_outputs`` are parameters for which ``-`` means standard output.
+    ``text_outputs`` are parameters for which ``-`` means standard output, ``ranges`` the options of
+    those that have a range: click lets NaN through, and infinity where there is no maximum.
     """
 
     @functools.wraps(run)
     def fetch_and_run(**values: Any) -> Any:
+        for name, option in ranges.items():
+            if isinstance(value := values.get(name), float) and not math.isfinite(value):
+                raise ConfigInvalid(f"is {value}, expected a finite number", where=option)
         if any(map(_may_be_remote, values.values())):
             from gsgen.cli.fetched_inputs import fetch_inputs
 
@@ -313,10 +335,7 @@ class _OrderedCommand(TyperCommand):
 
 
 def _number_hint(message: str, parameter: Any) -> str:
-    """Return the type and the range of a number that an option or argument refused, else nothing.
-
-    The range is kept in the parameter's type until typer 0.28, and in the parameter since.
-    """
+    """Return the type and the range of a number that an option or argument refused, else nothing."""
     if "valid int" in message:
         noun = "a whole number"
     elif "valid float" in message or "valid number" in message:
@@ -325,7 +344,7 @@ def _number_hint(message: str, parameter: Any) -> str:
         noun = "a value"
     else:
         return ""
-    bounds = parameter if hasattr(parameter, "min") else getattr(parameter, "type", None)
+    bounds = _bounds_of(parameter)
     least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
     lower_text = "" if least is None else f" from {least:g}"
     return f"{'' if message.endswith('.') else '.'} Give {noun}{lower_text}{'' if most is None else f' to {most:g}'}."

@@ -1,6 +1,7 @@
 """Every command that opens a file takes its address; texts name the address, not the copy."""
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typer.main import get_command
 
 from gsgen.cli.command_group import build
 from gsgen.cli.fetched_inputs import OUTPUT_PARAMETERS
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.formats import open_splats, write_ply
 from support.commands import gsgen, gsgen_here
 from support.models.small_models import good_rows, save_moving
@@ -127,6 +129,26 @@ def test_outputs_are_told_from_inputs() -> None:
         "neural", "ort", "path", "paths", "post", "scene", "scenes", "second", "source", "style",
         "three", "transform", "vae", "xfails",
     }  # fmt: skip
+
+
+def test_a_number_of_a_range_is_finite() -> None:
+    """Click lets NaN through every range, and infinity through those without a maximum."""
+    options = [
+        (command.callback, parameter.name, parameter.opts[0], value)
+        for _, command in opening_commands()
+        for parameter in command.params
+        if "float" in parameter.type.name and _has_range(parameter)
+        for value in (math.nan, math.inf)
+    ]
+    assert len(options) > 20
+    for callback, name, option, value in options:
+        with pytest.raises(ConfigInvalid, match=rf"^{option}: is (nan|inf), expected a finite"):
+            callback(**{name: value})
+
+
+def _has_range(parameter: Any) -> bool:
+    places = (parameter, parameter.type)
+    return any(getattr(place, end, None) is not None for place in places for end in ("min", "max"))
 
 
 @pytest.mark.parametrize("address", ["https://a.example/b.spz", "s3://a/b.spz", "hf://a/b/c.spz"])
