@@ -4,6 +4,8 @@ from docs_parts.tables import table
 from gsgen.conformance.viewer_kit.faults import VIEWER_FAULTS
 from gsgen.conformance.viewer_kit.write import kit_cases
 
+_OF_ROLE = "role-"
+
 
 def cases() -> str:
     """Return the table of the cases."""
@@ -12,10 +14,26 @@ def cases() -> str:
 
 
 def faults() -> str:
-    """Return the table of the faults, each with its cases."""
-    rows = []
+    """Return the table of the faults, each with its cases; those of roles differ by their name."""
+    rows, of_roles = [], []
     for fault, (title, hint) in VIEWER_FAULTS.items():
-        names = [case.name for case in kit_cases() if fault in case.faults]
-        listed = "all" if len(names) == len(kit_cases()) else ", ".join(f"`{n}`" for n in names)
-        rows.append([f"`{fault}`", f"{title}. {hint}", listed])
+        listed = _list_cases(fault)
+        if fault.startswith(_OF_ROLE):
+            of_roles.append(f"`{fault.removeprefix(_OF_ROLE)}`: {listed}")
+        else:
+            rows.append([f"`{fault}`", f"{title}. {hint}", listed])
+    text = (
+        "an input of that role keeps its default. Find inputs by their role, not by their name, "
+        "and feed them in every frame."
+    )
+    rows.append([f"`{_OF_ROLE}ROLE`", text, "; ".join(of_roles)])
     return table(["fault", "what the viewer does, and the repair", "cases"], rows)
+
+
+def _list_cases(fault: str) -> str:
+    cases = kit_cases()
+    spoiled = [f"`{case.name}`" for case in cases if fault in case.faults]
+    right = [f"`{case.name}`" for case in cases if fault not in case.faults]
+    if len(spoiled) <= len(right):
+        return ", ".join(spoiled)
+    return f"all but {', '.join(right)}" if right else "all"
