@@ -248,8 +248,8 @@ def test_a_splat_format_touches_the_places_of_the_page(copy: Copy) -> None:
     copy.insert(codecs, after="CODECS: Final = (\n", text=f"    {codec}\n")
     copy.insert(
         "sdk/gsgen/formats/__init__.py",
-        after="from gsgen.formats.npz import read_npz\n",
-        text="from gsgen.formats.dots import read_dots as read_dots\n",
+        after="_MODULE_BY_NAME: Final = {\n",
+        text='    "read_dots": "gsgen.formats.dots",\n',
     )
     copy.assert_touches_only("splat format")
     points = np.float32([[0, 0, 1], [1, 0, 2], [0, 1, 3], [1, 1, 4]])

@@ -216,14 +216,13 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
     """Where the camera moves or turns at constant speed, predictions go on so in all directions.
 
     Why:
-        The history has its oldest state first, and predictions the nearest one. A model that reads
-        or writes them the other way round, or mixes up axes, fetches the scene behind the camera.
-        One that slows down along y alone knows an axis that other worlds do not have.
+        The history has its oldest state first, and predictions the nearest one. A model that
+        reverses either, or mixes up axes, fetches the scene behind the camera.
+        One that slows down along y alone knows an axis that other worlds lack.
 
     Hint:
         Take the last row of the history as the newest state, and return the nearest prediction
-        first; reverse the rows with `flip(0)` before or after the network. Add the newest state
-        minus the one before it, per step.
+        first; `flip(0)` reverses rows. Add the newest state minus the one before it, per step.
     """
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
