@@ -21,7 +21,6 @@ from pathlib import Path
 from docs_parts import (
     commands,
     contract,
-    corpus,
     formats,
     manifest,
     passes,
@@ -53,7 +52,6 @@ PARTS: dict[str, Part] = {
     "commands": commands.overview,
     "commands-besides": commands.besides,
     "config-keys": contract.config_keys,
-    "corpus-good": corpus.good,
     "finding": runs.finding,
     "kinds": manifest.kinds,
     "field-mutations": contract.field_mutations,
