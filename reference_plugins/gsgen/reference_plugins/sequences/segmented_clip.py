@@ -222,7 +222,7 @@ class _SegmentTask:
         """Write frames as SOG files, and return the record of the segment."""
         rows = 0
         for file, number in frames.items():
-            content = open_splats(self.export.files.paths[number], drop_invalid=True)
+            content = open_splats(self.export.files.paths[number])
             if not isinstance(content, Splats) or content.origin != NO_ORIGIN:
                 raise FramesUnmatched(
                     "shares too few Gaussians with the frames around it for a clip, expected splats "
