@@ -37,6 +37,16 @@ FAULTS: dict[str, tuple[dict[str, str], str, str]] = {
          "carried_joints = MatMul (trunk, joint_offsets) joints_at = Add (carried_joints, root)":
          "joints_at = Identity (joints)"},
         "GB061", "move with its parent"),
+    # As above, where the rows near the trunk hang on both.
+    "global rotations, softly skinned": (
+        {_CHILDREN: "left_whole = Identity (left) right_whole = Identity (right)",
+         "carried_joints = MatMul (trunk, joint_offsets) joints_at = Add (carried_joints, root)":
+         "joints_at = Identity (joints)",
+         _MOVED: "whole = Reshape (column, vectors) on_trunk = MatMul (trunk, center) "
+         "trunk_shift = Gather <axis = 0> (shifts, zero) trunk_column = Add (on_trunk, trunk_shift) "
+         "by_trunk = Reshape (trunk_column, vectors) gap = Sub (by_trunk, whole) "
+         "part = Mul (gap, share) moved = Add (whole, part)"},
+        "GB061", "move with its parent"),
     "children before parents": (
         {_CHILDREN: "left_whole = MatMul (left, trunk) right_whole = MatMul (right, trunk)"},
         "GB061", "turned before it"),
@@ -58,7 +68,9 @@ def altered(texts: dict[str, str]) -> ModelSpec:
     model = find("arms_on_a_trunk").draw()
     for old, new in texts.items():
         model = model.replace_text(old, new)
+    near_trunk = np.arange(len(model.weights["center"])) % 5 == 0
     return model.with_weights(
+        share=0.5 * near_trunk[:, None].astype(np.float32), zero=np.array([0], np.int64),
         degree=np.array([np.pi / 180], np.float32), half_one=np.array([0.5], np.float32), shrink=np.array([0.4], np.float32),
         unit=np.array([1], np.float32), signs=np.array([[1, -1, -1]], np.float32), zxy=np.array([2, 0, 1], np.int64),
     )  # fmt: skip

@@ -42,9 +42,10 @@ _MAX_JOINT_MOTION = 0.05
 _MAX_SCALED_MOTION, _MAX_SCALE_MISFIT, _MIN_SCALE_ERROR, _MIN_SCALED_JOINTS = 5e-3, 0.2, 0.01, 4
 # Rows move if they do so by this share of the body's size.
 _MIN_MOTION = 1e-3
-# Fewer of a joint's rows than this share follow its parent: 1.00 for right skeletons, 0.00 for
-# parents of another limb.
-_MIN_FOLLOWING_SHARE = 0.1
+# Fewer of the rows that a joint turns rigidly than the first share follow its parent, or of all
+# that it moves than the second: 1.00 for right skeletons, 0.00 for parents of another limb, and up
+# to 0.3 of all rows for a grandparent, as neighbouring joints share rows.
+_MIN_FOLLOWING_SHARE, _MIN_FOLLOWING_SHARE_OF_ALL = 0.5, 0.1
 # Two turns in the wrong order give another rotation, 0.6 radians from the right one; a fitted one
 # is that within this angle.
 _MAX_CHAIN_ERROR = 0.05
@@ -309,8 +310,14 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
             continue
         if np.count_nonzero(parent_turn.moved) < _MIN_ROWS:
             continue  # the parent moves nothing: a root whose rotation is another input
-        share = float(np.mean(parent_turn.moved[turn.moved]))
-        if share < _MIN_FOLLOWING_SHARE:
+        motion = turn.motion()
+        rows, limit = (
+            (turn.moved, _MIN_FOLLOWING_SHARE_OF_ALL)
+            if motion is None
+            else (motion[2], _MIN_FOLLOWING_SHARE)
+        )
+        share = float(np.mean(parent_turn.moved[rows]))
+        if share < limit:
             actual = (
                 f"{100 * share:.0f} % of the rows of joint {name!r} move with its parent {parent!r}"
             )
