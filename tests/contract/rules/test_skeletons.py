@@ -1,5 +1,6 @@
 """Poses are judged by turning joints: by which angle, about which axis and point, in which order."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,28 @@ def test_a_fault_of_the_skeleton_is_named_first(name: str, tmp_path: Path) -> No
 @pytest.mark.parametrize("name", RIGHT)
 def test_right_skeletons_have_no_finding(name: str, tmp_path: Path) -> None:
     assert reported(altered(RIGHT[name]), tmp_path) == []
+
+
+def test_joints_stand_where_declared_whichever_place_the_root_has_by_default(
+    tmp_path: Path,
+) -> None:
+    person = find("arms_on_a_trunk").draw()
+    moved = (
+        "whole = Reshape (column, vectors) back_of = Transpose (placing) "
+        "placed = MatMul (whole, back_of) moved = Add (placed, place)"
+    )
+    pose = person.manifest.inputs[0]
+    place = Input(name="place", role="root_translation", shape=(3,), default=(0.0, 0.6, 0.0))
+    upright = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)
+    placing = Input(
+        name="placing", role="root_rotation", convention="matrix", shape=(3, 3), default=upright
+    )
+    turned = "back_whole = MatMul (placing, both) both_placed = MatMul (back_whole, back_of)"
+    model = person.replace_text(_MOVED, moved).replace_text(
+        "nines = Reshape (both,", f"{turned} nines = Reshape (both_placed,"
+    )
+    model = replace(model, inputs=f"{model.inputs}, float[3] place, float[3,3] placing")
+    assert reported(model.with_manifest(inputs=(pose, place, placing)), tmp_path) == []
 
 
 def test_a_pose_without_joints_is_turned_too(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ __all__ = [
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Final, Literal
 
 import numpy as np
 
@@ -72,6 +73,10 @@ STEP_OFFSETS, ORDER_FRAMES = (0.1, 0.25, 0.5, 0.75, 0.9), (0, 1, 2, -3, -2, -1)
 JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
 _MAX_JOINTS, _JOINT_LABEL = 24, "with a turn of joint "
 _MAX_UNDECLARED_JOINTS = 6
+_ROOT_AT_REST: Final[dict[str, Literal["zeros", "identity"]]] = {
+    "root_translation": "zeros",
+    "root_rotation": "identity",
+}
 # Parts of the labels in which the body turns, and in which a child turns with its parent.
 ROOT_LABEL, _MAX_CHAINS, _CHAIN_LABEL = "with a turn of the root", 2, "with turns of joints "
 LONG_QUATERNIONS_LABEL, _LONG = "with quaternions of length 1.1", 1.1
@@ -233,21 +238,24 @@ def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Ite
 def _joint_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield the rest pose with all other inputs of a person at their defaults, then turns.
 
-    Up to 24 joints of a declared skeleton turn alone, those nearest to the root first, or six rows
+    The root is where joints are declared, neither moved nor turned, whichever its defaults are. Up to 24 joints of a declared skeleton turn alone, those nearest to the root first, or six rows
     of any other pose; then the body turns; then children turn together with their parents.
     """
     from gsgen.contract.spec.input_defaults import default_tensor
 
     entry = next(iter(_inputs_of_role(manifest, "pose")), None)
     template = base.inputs[entry.name] if entry else np.zeros(0)
-    is_skeleton = entry is not None and len(entry.joints) == len(template)
     if entry is None or template.ndim != 2 or template.shape[1] not in (3, 4):
         return
+    is_skeleton = len(entry.joints) == len(template)
     rest = np.zeros_like(template)
     rest[:, 0] = float(template.shape[1] == 4)
     try:
         defaults = {
-            other.name: default_tensor(other, base.inputs[other.name].shape)
+            other.name: default_tensor(
+                replace(other, default=_ROOT_AT_REST.get(other.role, other.default)),
+                base.inputs[other.name].shape,
+            )
             for other in manifest.inputs
             if other.role not in (*CAMERA_ROLES, *PICTURE_ROLES)
         }
