@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.arrays import i64
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
-from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.manifest import GeneratorManifest, Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validator import validate
 
@@ -77,6 +78,12 @@ def altered(texts: dict[str, str]) -> ModelSpec:
     )  # fmt: skip
 
 
+def declared_pose() -> Input:
+    manifest = find("arms_on_a_trunk").draw().manifest
+    assert isinstance(manifest, GeneratorManifest)
+    return manifest.inputs[0]
+
+
 def reported(model: ModelSpec, folder: Path) -> list[tuple[str, str]]:
     path = folder / "m.onnx"
     model.write(path)
@@ -105,7 +112,6 @@ def test_joints_stand_where_declared_whichever_place_the_root_has_by_default(
         "whole = Reshape (column, vectors) back_of = Transpose (placing) "
         "placed = MatMul (whole, back_of) moved = Add (placed, place)"
     )
-    pose = person.manifest.inputs[0]
     place = Input(name="place", role="root_translation", shape=(3,), default=(0.0, 0.6, 0.0))
     upright = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)
     placing = Input(
@@ -116,7 +122,23 @@ def test_joints_stand_where_declared_whichever_place_the_root_has_by_default(
         "nines = Reshape (both,", f"{turned} nines = Reshape (both_placed,"
     )
     model = replace(model, inputs=f"{model.inputs}, float[3] place, float[3,3] placing")
-    assert reported(model.with_manifest(inputs=(pose, place, placing)), tmp_path) == []
+    assert reported(model.with_manifest(inputs=(declared_pose(), place, placing)), tmp_path) == []
+
+
+def test_a_body_of_two_roots_turns_about_either(tmp_path: Path) -> None:
+    trunk, left, right = declared_pose().joints
+    joints = (replace(left, parent=None), trunk, right)
+    turning = Input(name="turning", role="root_rotation", shape=(3,), default="zeros")
+    nodes = (
+        "row = Reshape (turning, one_row) whole = Concat <axis = 0> (row, others) "
+        "in_order = Gather <axis = 0> (pose, order) read = Add (in_order, whole)"
+    )
+    model = altered(read_as(nodes)).with_weights(
+        one_row=i64(1, 3), others=np.zeros((2, 3), np.float32), order=i64(1, 0, 2)
+    )
+    model = replace(model, inputs=f"{model.inputs}, float[3] turning")
+    inputs = (replace(declared_pose(), joints=joints), turning)
+    assert reported(model.with_manifest(inputs=inputs), tmp_path) == []
 
 
 def test_a_pose_without_joints_is_turned_too(tmp_path: Path) -> None:

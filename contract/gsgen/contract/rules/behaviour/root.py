@@ -168,30 +168,25 @@ def _fault_of_turn(behaviour: Behaviour) -> str:
         return ""
     centers, turned_centers = (part[:, POSITION].astype(np.float64) for part in rows)
     rotation = _fitted_rotation(centers, turned_centers)
-    manifest = behaviour.subject.manifest
-    root = next(
-        (
-            j
-            for entry in (manifest.inputs if manifest else ())
-            for j in entry.joints
-            if not j.parent
-        ),
-        None,
-    )
     if rotation is None:
         return ""
     values = turned.probe.inputs[behaviour.subject.inputs_of("root_rotation")[0][0].name]
     explanation = explain_turns([(values.astype(np.float64), rotation)])
     if explanation is not None:
         return f"the body turns as if {explanation[0].name}"
-    if root is None or root.rest is None:
-        return ""
-    joint, size = np.array(root.rest), float(np.linalg.norm(np.ptp(centers, axis=0)))
+    # A body of several roots may turn about any of them.
+    manifest, size = behaviour.subject.manifest, float(np.linalg.norm(np.ptp(centers, axis=0)))
     offset = turned_centers.mean(axis=0) - rotation @ centers.mean(axis=0)
-    distance = float(np.linalg.norm(rotation @ joint + offset - joint)) / size
+    distances = [
+        (float(np.linalg.norm(rotation @ joint.rest + offset - joint.rest)) / size, joint.name)
+        for entry in (manifest.inputs if manifest else ())
+        for joint in entry.joints
+        if joint.parent is None and joint.rest is not None
+    ]
+    distance, name = min(distances, default=(0.0, ""))
     if distance > _MAX_ROOT_MOTION:
         return (
-            f"the body turns about another point than its root: joint {root.name!r} moves by "
+            f"the body turns about another point than its root: joint {name!r} moves by "
             f"{distance:.2g} of the body's size"
         )
     return ""
