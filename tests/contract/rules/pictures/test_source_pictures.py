@@ -1,5 +1,6 @@
 """Generators of pictures: cameras, lenses and colours taken otherwise than declared are noticed."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
 from gsgen.conformance.fixtures.builders.pixels import pixel_model
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.validator import validate
 
 _COLORS = "colors = Reshape ({}, color_shape)"
@@ -95,3 +97,26 @@ def test_a_template_that_samples_pictures_by_their_cameras_passes(tmp_path: Path
         tint=f32(0.01),
     )
     assert not [entry for entry in findings(model, tmp_path) if entry[0] in ("GB070", "GB071")]
+
+
+@pytest.mark.parametrize("name", ["by column", "last picture first"])
+def test_rows_come_in_any_order(name: str, tmp_path: Path) -> None:
+    """Without lenses, nobody knows which pixel a row shows."""
+    numbers = np.arange(96).reshape(2, 6, 8)
+    orders = {"by column": numbers.transpose(0, 2, 1), "last picture first": numbers[::-1]}
+    model = pixel_model(
+        colors="flat = Reshape (last, color_shape) colors = Gather <axis = 0> (flat, order)"
+    )
+    assert isinstance(model.manifest, GeneratorManifest)
+    image, poses, lenses = model.manifest.inputs
+    matrices = np.array(lenses.default, np.float32).reshape(2, 3, 3)
+    model = (
+        model.replace_text(
+            "position = Reshape (centers, position_shape)",
+            "places = Reshape (centers, position_shape) position = Gather <axis = 0> (places, order)",
+        )
+        .with_manifest(inputs=(image, poses))
+        .with_weights(lenses=matrices, order=i64(*orders[name].reshape(-1)))
+    )
+    model = replace(model, inputs=model.inputs.replace(", float[2,3,3] lenses", ""))
+    assert findings(model, tmp_path) == []

@@ -217,7 +217,12 @@ def _at(pictures: Float[np.ndarray, "v 3 h w"], pixels: _Pixels) -> Float[np.nda
 
 
 def _other_places(rows: _PixelRows) -> dict[str, tuple[Float[np.ndarray, "n 3"], str]]:
-    """Return the colours of the pixels at which rows may have been taken by mistake, by its name."""
+    """Return the colours of the pixels at which rows may have been taken by mistake, by its name.
+
+    Where their place is unknown, there are none: rows may come in any order.
+    """
+    if rows.place is None:
+        return {}
     picture, row, column = rows.pixels
     count, _, height, width = rows.pictures.shape
     places: dict[str, tuple[_Pixels, str]] = {
@@ -239,9 +244,7 @@ def _other_places(rows: _PixelRows) -> dict[str, tuple[Float[np.ndarray, "n 3"],
         number = np.ravel_multi_index(rows.numbers[1:], (height, width))
         across, down = np.unravel_index(number, (width, height))
         by_column = (rows.numbers[0], down, across)
-        if rows.place is not None:
-            name = "colours run row by row, and positions run in another order"
-            places[name] = (rows.numbers, hint)
+        places["colours run row by row, and positions run in another order"] = (rows.numbers, hint)
         places["colours run column by column, and positions row by row"] = (by_column, hint)
     return {name: (_at(rows.pictures, pixels), hint) for name, (pixels, hint) in places.items()}
 
