@@ -61,3 +61,34 @@ def test_a_loop_ends_where_it_starts(name: str, tmp_path: Path) -> None:
         turns=np.array([2 * np.pi * turns], np.float32), fifth=np.array([0.2], np.float32)
     )
     assert rules_broken_by(model, tmp_path)[:1] == ([] if is_closed else ["GB004"])
+
+
+def frames_of(rows: np.ndarray) -> ModelSpec:
+    """Return a model that shows one row of numbers a frame, by the number of the frame."""
+    frame = Input(name="frame", role="frame_index", range=(0, 11), default=0, frames=FRAMES)
+    body = "shift = Gather <axis = 0> (table, frame)"
+    model = input_driven_model("int32[1] frame", frame, body)
+    return model.with_weights(table=np.asarray(rows, np.float32))
+
+
+def told_of_frames(model: ModelSpec, folder: Path) -> str:
+    """Return what the rule of frames reports, with its location."""
+    model.write(folder / "m.onnx")
+    findings = [f for f in validate(folder / "m.onnx").findings if f.rule == "GB006"]
+    return " ".join(f"{finding.where}: {finding.message}" for finding in findings)
+
+
+def test_frames_by_number_are_told_by_their_role(tmp_path: Path) -> None:
+    rows = np.linspace(-0.5, 0.5, FRAMES)[:, None].repeat(3, axis=1)
+    told = told_of_frames(frames_of(np.roll(rows, 1, axis=0)), tmp_path)
+    assert told.startswith("role frame_index: the first frame is 11 steps")
+
+
+def test_scenes_that_hold_or_show_nothing_keep_their_order(tmp_path: Path) -> None:
+    held = np.random.default_rng(0).uniform(-0.4, 0.4, (FRAMES, 3))
+    held[[0, -1, -2, -3]] = 0
+    held[1] = held[2]
+    model = frames_of(held)
+    assert "numbered" not in told_of_frames(model, tmp_path)
+    hidden = model.with_weights(opacity=0 * model.weights["opacity"])
+    assert "opaque" not in told_of_frames(hidden, tmp_path)

@@ -9,6 +9,7 @@ from gsgen.contract.probing.behaviour_probes import ORDER, STEP_OFFSETS, STEPS
 from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
@@ -102,17 +103,32 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
+def _clock(behaviour: Behaviour) -> Input | None:
+    """Return the input that chooses frames: one that declares their number comes first."""
+    manifest = behaviour.subject.manifest
+    entries = [
+        e for e in (manifest.inputs if manifest else ()) if e.role in ("time", "frame_index")
+    ]
+    return min(entries, key=lambda entry: not entry.frames, default=None)
+
+
+def _where(behaviour: Behaviour) -> str:
+    clock = _clock(behaviour)
+    return f"role {clock.role if clock else 'time'}"
+
+
 def _frame_runs(behaviour: Behaviour) -> list[ProbeRun]:
     """Return the runs at the beginning of each frame, except where rounding may give the one before."""
     from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down
 
-    manifest = behaviour.subject.manifest
-    entries = manifest.inputs if manifest else ()
-    entry = next((entry for entry in entries if entry.frames), None)
+    entry = _clock(behaviour)
     return [
         run
         for frame, run in enumerate(behaviour.trial_runs(FRAMES))
-        if entry is not None and run.digest and not is_frame_rounded_down(entry, frame)
+        if entry is not None
+        and entry.frames
+        and run.digest
+        and not is_frame_rounded_down(entry, frame)
     ]
 
 
@@ -142,20 +158,24 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
             f"{len(repeated_labels)} of {len(runs) + len(within_runs)} runs show what the frame "
             f"before did, {repeated_labels[0]!r} first"
         )
-        yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
+        yield Violation.at(
+            _where(behaviour), actual, "other outputs in each frame", certainty="possible"
+        )
 
 
 def _empty_frames(behaviour: Behaviour) -> Iterator[Violation]:
     counts = [run.row_count.drawn for run in _frame_runs(behaviour) if run.row_count is not None]
+    if len(counts) < 3 or not any(counts):
+        return  # where nothing is ever drawn, another rule tells it
     empty_count = sum(count <= _MIN_DRAWN_SHARE * max(counts) for count in counts)
-    if len(counts) > 2 and empty_count > _MAX_EMPTY_SHARE * len(counts):
+    if empty_count > _MAX_EMPTY_SHARE * len(counts):
         actual = (
             f"in {empty_count} of {len(counts)} frames hardly any row is opaque enough to be drawn, "
             f"where another shows {max(counts)} rows"
         )
         hint = "Widen the window of time in which rows are opaque: check its unit and its width."
         yield Violation.at(
-            "role time", actual, "rows in most frames", certainty="possible", hint=hint
+            _where(behaviour), actual, "rows in most frames", certainty="possible", hint=hint
         )
 
 
@@ -172,14 +192,15 @@ def _breaks_of_order(behaviour: Behaviour) -> Iterator[Violation]:
     closing = _typical_motion(positions[-1], positions[0])
     for number, words in ((0, "the first frame"), (3, "the last frame")):
         others = max(step for k, step in enumerate(steps) if k != number)
-        if steps[number] > _MIN_BREAK_RATIO * others and closing <= _MAX_CLOSING_RATIO * others:
+        # Where all others stand still, there is no step to compare with.
+        if steps[number] > _MIN_BREAK_RATIO * others > 0 and closing <= _MAX_CLOSING_RATIO * others:
             actual = (
-                f"{words} is {steps[number] / max(others, 1e-12):.3g} steps from its neighbour, and "
+                f"{words} is {steps[number] / others:.3g} steps from its neighbour, and "
                 "continues the other end of the sequence: frames are numbered from 1, or one too far"
             )
             hint = "Subtract 1 from the frame number, or stop subtracting it: frame 0 is the first."
             yield Violation.at(
-                "role time", actual, "frames in their order", certainty="possible", hint=hint
+                _where(behaviour), actual, "frames in their order", certainty="possible", hint=hint
             )
             return
 
@@ -232,4 +253,6 @@ def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
         if distinct_digest_count == 1:
             actual += ": the time has no effect"
             hint = "Export without detaching the time (`.item()`, numpy, its shape alone in use)."
-        yield Violation.at("role time", actual, "distinct frames, as many as declared", hint=hint)
+        yield Violation.at(
+            _where(behaviour), actual, "distinct frames, as many as declared", hint=hint
+        )
