@@ -146,3 +146,11 @@ def test_a_pose_without_joints_is_turned_too(tmp_path: Path) -> None:
     pose = Input(name="pose", role="pose", convention="axis-angle", shape=(3, 3), default="zeros")
     assert reported(model.with_manifest(inputs=(pose,)), tmp_path)[0][0] == "GB068"
     assert reported(find("arms_on_a_trunk").draw().with_manifest(inputs=(pose,)), tmp_path) == []
+
+
+def test_covariances_follow_a_body_that_turns_on_a_floor(tmp_path: Path) -> None:
+    model = find("covariances_stay_at_rest").draw()
+    turns = np.arange(len(model.weights["center"]))[:, None] >= 20
+    nodes = "all = MatMul (center, back) moved = Where (turns, all, center)"
+    model = model.replace_text("moved = MatMul (center, back)", nodes).with_weights(turns=turns)
+    assert reported(model, tmp_path)[0][0] == "GB035"

@@ -49,8 +49,8 @@ def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
         skinning transform; Rᵀ Σ R turns it backwards.
     """
     for role in behaviour.comparisons_by_role:
-        if role in (*CAMERA_ROLES, "root_rotation") or not behaviour.subject.inputs_of(role):
-            continue  # the key of a single input repeats that of its role; GB042 turns the root
+        if role in CAMERA_ROLES or not behaviour.subject.inputs_of(role):
+            continue  # the key of a single input repeats that of its role
         for sample, later_rows, motion, run in _local_motions(behaviour, role):
             violation = _pose_deviation_violation(sample, later_rows, motion, role, run)
             if violation is not None:
