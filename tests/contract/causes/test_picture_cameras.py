@@ -152,6 +152,16 @@ def test_rows_that_follow_no_reading_are_not_blamed(seed: int) -> None:
     assert reading_of_cameras(few[0], few[1]) is None
 
 
+def test_a_far_row_hides_no_motion_of_near_ones() -> None:
+    """The sky makes the spread of all rows large."""
+    base, moved = (posed(3, motion, LENS) for motion in (np.eye(4), MOTION))
+    far = base.position.copy()
+    far[0] = 1e4
+    template = replace(base, position=far), replace(moved, position=far)
+    assert not is_equivariant(*template)
+    assert reading_of_cameras(*template) is None
+
+
 def test_rows_that_turn_and_are_moved_elsewhere_are_noticed() -> None:
     base, moved = (posed(1, motion, LENS) for motion in (np.eye(4), MOTION))
     assert not is_translated_otherwise(base, moved)

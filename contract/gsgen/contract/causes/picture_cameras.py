@@ -30,7 +30,8 @@ import numpy as np
 from gsgen.contract._array_types import Float, Int
 from gsgen.contract.causes.readings import MAX_INVALID_SHARE, Explanation, share_of
 
-# Rows stay if they move by less than this fraction of the spread of all rows, or of the picture.
+# Rows stay if they move by less than this fraction of the spread of all rows and of their distance,
+# or of the picture.
 # Right models that place rows along rays have 1e-6, from rounding; networks that look at cameras
 # otherwise, too, have 0.01 to 1 in each reading.
 _MAX_RESIDUAL_RATIO = 2e-3
@@ -183,13 +184,14 @@ def _has_other_lenses(base: PosedRows, other: PosedRows) -> bool:
 
 def _moving_share(base: PosedRows, moved: PosedRows, undo: "_Undo") -> float:
     """Return the share of rows that move before every camera, in a reading of the matrices."""
-    residuals, spread = [], 0.0
+    is_moving = np.ones(len(base.position), bool)
     for view, moved_view in zip(base.views, moved.views, strict=True):
         before, after = undo(view, base.position), undo(moved_view, moved.position)
-        spread = max(spread, float(np.linalg.norm(np.ptp(before, axis=0))))
-        residuals.append(np.linalg.norm(before - after, axis=1))
-    residual = np.min(residuals, axis=0)
-    return share_of(~(residual <= _MAX_RESIDUAL_RATIO * spread))
+        spread = float(np.linalg.norm(np.ptp(before, axis=0)))
+        # A far row, as of the sky, makes the spread large: near rows are held to their distance.
+        limit = _MAX_RESIDUAL_RATIO * np.minimum(spread, np.linalg.norm(before, axis=1))
+        is_moving &= ~(np.linalg.norm(before - after, axis=1) <= limit)
+    return share_of(is_moving)
 
 
 def _as_declared(lens: Float[np.ndarray, "3 3"], _: tuple[int, int]) -> Float[np.ndarray, "3 3"]:
