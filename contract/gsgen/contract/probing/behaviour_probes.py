@@ -68,7 +68,7 @@ _STEPS_PER_RANGE = 60
 ZERO_LABEL = "with zero"
 # Names of the probes within two frames and of the first and last frames; where in a frame.
 STEPS, ORDER = "steps", "order"
-STEP_OFFSETS, ORDER_FRAMES = (0.1, 0.25, 0.5, 0.75, 0.9), (0, 1, 2, -3, -2, -1)
+STEP_OFFSETS, ORDER_FRAMES = (0.1, 0.5, 0.9), (0, 1, 2, -3, -2, -1)
 # Name of the probes in which joints turn alone, the angle in radians, and the most joints.
 JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
 _MAX_JOINTS, _JOINT_LABEL = 24, "with a turn of joint "
@@ -459,7 +459,8 @@ def _step_probes(entry: Input, base: Probe) -> Iterator[Probe]:
     if count > 2:
         for frame in (middle, middle + 1):
             for offset in STEP_OFFSETS:
-                yield _probe_at_fraction(entry, base, (frame + offset) / count)
+                probe = _probe_at_fraction(entry, base, (frame + offset) / count)
+                yield replace(probe, survey=True)
 
 
 def _order_probes(entry: Input, base: Probe) -> Iterator[Probe]:
