@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.arrays import f32
 from gsgen.conformance.fixtures.builders.moving import input_driven_model
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.manifest import Input
@@ -55,3 +57,15 @@ def test_the_range_of_the_first_operations_is_told(name: str, tmp_path: Path) ->
 def test_steps_in_milliseconds_are_told(step: float, is_told: bool, tmp_path: Path) -> None:
     model = find("trajectory").draw().edit_manifest(lambda fields: fields.update(step_seconds=step))
     assert bool(units_told(model, tmp_path)) is is_told
+
+
+def test_graphs_that_are_no_graphs_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "m.onnx"
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0)
+    nodes = "u = Mul (time, half) shift = Mul (speed, u)"
+    input_driven_model("float[1] time", time, nodes).with_weights(half=f32(0.5)).write(path)
+    graph = onnx.load(path)
+    del next(node for node in graph.graph.node if "time" in node.input).output[:]
+    onnx.save(graph, path)
+    outcomes = validate(path, Settings(level=Level.STATIC)).outcomes
+    assert not [outcome.rule.id for outcome in outcomes if outcome.status == "crashed"]
