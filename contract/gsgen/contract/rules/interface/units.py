@@ -40,7 +40,13 @@ class _Use(NamedTuple):
     is_shifted_first: bool
 
 
-@rule("GI037", Severity.WARNING, needs=("GM004", "GG019", "GI013", "GI017"), kinds=MANIFEST_KINDS)
+@rule(
+    "GI037",
+    Severity.WARNING,
+    needs=("GM004", "GG019", "GI013", "GI017"),
+    kinds=MANIFEST_KINDS,
+    explained_by=("GB064",),  # which measures what is left of a picture's contrast
+)
 def units_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The first operations on a time or a picture suit its range, and steps of time are seconds.
 
