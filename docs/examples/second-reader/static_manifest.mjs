@@ -196,7 +196,7 @@ rule('GM031', 'warning', {kinds: ALL, needs: ['GM030']}, (m) => { // E3.3, E4: n
   const required = m.manifest.extensions_required ?? [];
   return required.length ? `${required[0]} is not registered` : undefined;
 });
-rule('GM038', 'warning', {kinds: ALL}, (m) => { // E2.2
+rule('GM038', 'error', {kinds: ALL}, (m) => { // E2.2
   const fields = new Set();
   JSON.stringify(m.manifest, (key, value) => { fields.add(key); return value; });
   const absent = (m.manifest.extensions_used ?? []).find((name) => !fields.has(name));
@@ -210,7 +210,7 @@ rule('GM032', 'error', {kinds: ALL, needs: ['GG019']}, (m) => { // M17
   const other = m.graph.nodes.find((node) => node.domain || !PORTABLE_1.has(node.op));
   return other && `${other.op} is not in ${profile}`;
 });
-rule('GM034', 'warning', {needs: ['GM005']}, (m) => { // M16.1
+rule('GM034', 'error', {needs: ['GM005']}, (m) => { // M16.1
   const {gaussians, appearance} = m.manifest.outputs;
   const rows = [gaussians, appearance].filter(Boolean)
     .reduce((sum, output) => sum + outputBytes(m, output.name), 0);
@@ -280,7 +280,7 @@ rule('GI005', 'error', {kinds: ALL, needs: ['GM004']}, (m) => { // I17, R1, R2, 
     return fits ? undefined : `${name} is [${shape}], not [${patterns}]`;
   });
 });
-rule('GI012', 'warning', {kinds: null}, (m) => { // I17.2
+rule('GI012', 'info', {kinds: null}, (m) => { // I17.2
   const weight = m.model.graph.inputs.find((value) => m.graph.weights.has(value.name));
   return weight && `${weight.name} is a weight`;
 });
@@ -356,7 +356,7 @@ rule('GI030', 'error', {needs: ['GM004', 'GI005']}, (m) => inputs(m, (input) => 
     return undefined;
   });
 }));
-rule('GI031', 'warning', {needs: ['GM004', 'GI015']}, (m) => inputs(m, ({convention, range}) => // R18.2
+rule('GI031', 'error', {needs: ['GM004', 'GI015']}, (m) => inputs(m, ({convention, range}) => // R18.2
   (convention === 'arkit-52' && range && !(range[0] >= 0 && range[1] <= 1) ? `[${range}]` : undefined)));
 rule('GI032', 'error', {needs: ['GM004', 'GI015']}, (m) => inputs(m, (input) => { // R28, M26.3
   const has = ['rate', 'window', 'hop'].map((field) => input[field] !== undefined);

@@ -249,7 +249,7 @@ rule('GV004', 'warning', {needs: [...FIELDS, 'GV054']}, (m) => { // L20.3
 });
 rule('GV018', 'error', {needs: [...FIELDS, 'GV032']}, (m) => anyRow(m, padding, (frame, i) => // L21.1
   frame.finite(i) && frame.row(i)[3] !== 0));
-rule('GV020', 'info', {needs: ROWS}, (m) => anyFrame(m, (frame) => { // L20.4
+rule('GV020', 'warning', {needs: ROWS}, (m) => anyFrame(m, (frame) => { // L20.4
   const seen = new Set(frame.drawn.map((i) => frame.row(i).join()));
   const copies = frame.drawn.length - seen.size;
   return frame.drawn.length >= 16 && copies > 0.1 * frame.drawn.length ? `${copies} copies` : undefined;

@@ -211,7 +211,12 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
         yield from _compare(behaviour, actual, expected, "a history with quaternions negated")
 
 
-@rule("GB062", Severity.ERROR, needs=(*REPRODUCIBLE, "GO019", "GV060"), kinds=(TRAJECTORY,))
+@rule(
+    "GB062",
+    Severity.ERROR,
+    needs=(*REPRODUCIBLE, "GO019", "GV060", "GB050", "GB051"),
+    kinds=(TRAJECTORY,),
+)
 def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
     """Where the camera moves or turns at constant speed, predictions go on so in all directions.
 
