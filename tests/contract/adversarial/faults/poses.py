@@ -171,7 +171,10 @@ ROOT_ORDERS = [
         "Added the root's translation before rotating.",
         "translate first",
         r"translat.{0,100}(rotat|order|before|after)|rotat.{0,100}translat",
-        Sentence("roles.md", "rotates the body, centres and covariances, about its root before it is translated:"),
+        Sentence(
+            "roles.md",
+            "rotates the body, centres and covariances, about its root before it is translated:",
+        ),
     ),
     (
         "root_translation_in_centimetres",
