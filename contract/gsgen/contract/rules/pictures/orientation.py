@@ -27,7 +27,12 @@ _MIN_ASPECT_RATIO = 10.0
 _MAX_ALIGNED_SHARE = 0.99
 
 
-@rule("GV041", Severity.WARNING, needs=(*VALID_ROWS, "GV020", "GV042"), explained_by=("GB035",))
+@rule(
+    "GV041",
+    Severity.WARNING,
+    needs=(*VALID_ROWS, "GV020", "GV042"),
+    explained_by=("GB042", "GB035"),
+)
 def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     """Flat Gaussians lie in the surface of their neighbours, and thin ones along their strand.
 
