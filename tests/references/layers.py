@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float, Float16, Float32, Shaped, UInt32
 
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT_LIGHT
 from gsgen.runtime.kernels.raster.mesh_place import TO_LINEAR, TO_SRGB
 from gsgen.runtime.kernels.shared.shader import NOWHERE
 from gsgen.runtime.playback.image_tiling import Network, run_tiled
-from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import MeshData
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from gsgen.conformance.viewer_kit.case import KitFrame
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.runtime.checks.viewer_kit import draw_frames, runtime_camera
-from gsgen.runtime.scene.frame import srgb_of_linear
 from support.web.pages import WebSite, unpacked
 from support.web.scenes import camera_of
 

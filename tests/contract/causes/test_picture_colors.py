@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from gsgen.contract.causes.picture_colors import (
-    _READINGS,
-    color_error,
-    explain_colors,
-    srgb_encoded,
-)
+from gsgen.contract.causes.picture_colors import _READINGS, color_error, explain_colors
+from gsgen.contract.spec.srgb import srgb_of_linear
 
 
 def picture(seed: int, count: int = 400) -> np.ndarray:
@@ -58,5 +54,5 @@ def test_colours_of_other_pixels_are_named() -> None:
 def test_encoding_is_the_standard_curve() -> None:
     """IEC 61966-2-1 gives 0.5 as 188/255 and the straight part below 0.0031308."""
     np.testing.assert_allclose(
-        srgb_encoded(np.array([0.0, 0.002, 0.5, 1.0])), [0, 0.02584, 0.735357, 1], atol=1e-5
+        srgb_of_linear(np.array([0.0, 0.002, 0.5, 1.0])), [0, 0.02584, 0.735357, 1], atol=1e-5
     )

@@ -17,12 +17,12 @@ from gsgen.conformance.viewer_kit.write import picture_name
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import GeneratorManifest, Space
 from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.runtime import Camera, Scene, SplatData, SplatSet
 from gsgen.runtime.checks.level import scene_of
 from gsgen.runtime.checks.viewer_kit import on_screen, runtime_camera
 from gsgen.runtime.oracle import projection
 from gsgen.runtime.oracle import render as oracle
-from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.binding.camera_inputs import camera_values
 

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsgen.contract.spec.srgb import linear_of_srgb, srgb_of_linear
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media import deep_pictures
 from gsgen.runtime.media.deep_pictures import exr_channels, picture16_of, save_exr, save_png16
 from gsgen.runtime.media.pictures import picture_of
-from gsgen.runtime.scene.frame import Frame, linear_of_srgb, srgb_of_linear
+from gsgen.runtime.scene.frame import Frame
 
 OpenEXR = pytest.importorskip("OpenEXR")
 png = pytest.importorskip("png")

@@ -4,14 +4,7 @@ Each reading is a function of the picture's encoded colours, from 0 to 1. One th
 colours nearly exactly, where the colours as they are do not, is the reading of the model.
 """
 
-__all__ = [
-    "MIN_DECLARED_ERROR",
-    "ColorReading",
-    "Colors",
-    "color_error",
-    "explain_colors",
-    "srgb_encoded",
-]
+__all__ = ["MIN_DECLARED_ERROR", "ColorReading", "Colors", "color_error", "explain_colors"]
 
 from collections.abc import Callable, Mapping
 from itertools import permutations
@@ -21,6 +14,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.spec.spherical_harmonics import SH_DC
+from gsgen.contract.spec.srgb import linear_of_srgb, srgb_of_linear
 
 # The statistic is the error of half of the pixels, over the contrast of the result. Where the
 # picture's colours stay, it is 0 to 0.05, and 0.3 to 3 after a change of channels, curve, range or
@@ -80,17 +74,6 @@ def explain_colors(
     return ColorReading(name, readings[name][1], errors[name], declared)
 
 
-def _decoded(encoded: Colors) -> Colors:
-    """Return the linear numbers of sRGB (IEC 61966-2-1)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
-def srgb_encoded(linear: Colors) -> Colors:
-    """Return the encoded colours of linear numbers (sRGB, IEC 61966-2-1)."""
-    low = 12.92 * linear
-    return np.where(linear <= 0.0031308, low, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
-
-
 def _clipped(read: Callable[[Colors], Colors]) -> Callable[[Colors], Colors]:
     return lambda colors: np.clip(read(colors), 0, 1)
 
@@ -110,12 +93,12 @@ _READINGS: Final[dict[str, tuple[Callable[[Colors], Colors], str]]] = {
         for order in permutations(range(3))
         if order != (0, 1, 2)
     },
-    "colours are linear numbers, decoded by the sRGB curve": (_decoded, _LINEAR),
+    "colours are linear numbers, decoded by the sRGB curve": (linear_of_srgb, _LINEAR),
     "colours are linear numbers, as if raised to the power 2.2": (
         lambda colors: np.maximum(colors, 0) ** 2.2,
         _LINEAR,
     ),
-    "colours were encoded twice by the sRGB curve": (srgb_encoded, _TWICE),
+    "colours were encoded twice by the sRGB curve": (srgb_of_linear, _TWICE),
     "colours were encoded twice, as if raised to the power 1/2.2": (
         lambda colors: np.maximum(colors, 0) ** (1 / 2.2),
         _TWICE,

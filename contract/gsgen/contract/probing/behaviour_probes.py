@@ -238,8 +238,9 @@ def _sweep_probes(manifest: GeneratorManifest, entry: Input, base: Probe) -> Ite
 def _joint_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
     """Yield the rest pose with all other inputs of a person at their defaults, then turns.
 
-    The root is where joints are declared, neither moved nor turned, whichever its defaults are. Up to 24 joints of a declared skeleton turn alone, those nearest to the root first, or six rows
-    of any other pose; then the body turns; then children turn together with their parents.
+    The root is where joints are declared, neither moved nor turned, whichever its defaults are. Up
+    to 24 joints of a declared skeleton turn alone, those nearest to the root first, or six rows of
+    any other pose; then the body turns; then children turn together with their parents.
     """
     from gsgen.contract.spec.input_defaults import default_tensor
 

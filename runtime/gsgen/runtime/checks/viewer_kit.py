@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from gsgen.conformance.viewer_kit.case import KitCamera, KitFrame
 from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.runtime.checks.level import scene_of
 from gsgen.runtime.oracle.render import render
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.scene import Scene
 from gsgen.sdk.binding import FrameSession
 

@@ -20,9 +20,10 @@ from jaxtyping import Float32, UInt16
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.spec.srgb import linear_of_srgb
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.pictures import Mode, array_of, levels_of
-from gsgen.runtime.scene.frame import Frame, linear_of_srgb
+from gsgen.runtime.scene.frame import Frame
 
 EXR_SUFFIX: Final = ".exr"
 """The suffix of OpenEXR files."""

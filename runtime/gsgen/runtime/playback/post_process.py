@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from gsgen.contract.spec.manifest import Input, PostProcessManifest
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.fitted_pictures import resample
 from gsgen.runtime.playback.image_tiling import run_tiled
-from gsgen.runtime.scene.frame import Frame, srgb_of_linear
+from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.key_frames import Animation
 from gsgen.runtime.sources.placed_source import fixed_and_keyed
 from gsgen.runtime.sources.scene_file import SceneFile, locate_errors

@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32, Int64, UInt8
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.spec.srgb import srgb_of_linear
 
 Output = Literal["color", "depth", "normal"]
 """Outputs of a frame; ``depth`` includes both depths and the ids."""
@@ -147,19 +148,6 @@ class Frame:
         file = io.BytesIO()
         Image.fromarray(self.srgb8).save(file, "png")
         return file.getvalue()
-
-
-def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
-    power_curve = (
-        1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
-    )
-    return np.asarray(np.where(color <= 0.0031308, 12.92 * color, power_curve))
-
-
-def linear_of_srgb(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """Decode sRGB in [0, 1] to linear light (IEC 61966-2-1)."""
-    return np.asarray(np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4))
 
 
 def psnr(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> float:

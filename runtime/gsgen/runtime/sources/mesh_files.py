@@ -20,11 +20,11 @@ from jaxtyping import Float, UInt8
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.file_kinds.names import MESH_SUFFIXES
 from gsgen.contract.file_kinds.recognition import kind_of_file
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.formats.glb.container import COMPRESSION_EXTENSIONS
 from gsgen.formats.glb.splats import READABLE_EXTENSIONS
 from gsgen.formats.shared.notices import warn_unused
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
-from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.probing.behaviour_probes import JOINTS, ROOT_LABEL
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
-from gsgen.contract.spec.geometry import rotation_matrix, symmetric
+from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -193,15 +193,11 @@ def _fault_of_turn(behaviour: Behaviour) -> str:
 
 
 def _rotation(value: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
+    from gsgen.contract.causes.pose_readings import declared_rotation
+
     if value.shape == (3, 3):
         return np.asarray(value, np.float64)
-    if value.shape != (3,):
-        return None
-    vector = np.asarray(value, np.float64)
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    quaternion = np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
-    return np.asarray(rotation_matrix(quaternion[None])[0])
+    return declared_rotation(value.astype(np.float64)) if value.shape == (3,) else None
 
 
 def _fitted_rotation(

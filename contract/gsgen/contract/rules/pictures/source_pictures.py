@@ -163,9 +163,9 @@ def _read_pixel_rows(behaviour: Behaviour) -> _PixelRows | None:
     if outputs.is_sh:
         shown = 0.5 + SH_DC * shown
     if declared.color_space == "linear":
-        from gsgen.contract.causes.picture_colors import srgb_encoded
+        from gsgen.contract.spec.srgb import srgb_of_linear
 
-        shown = srgb_encoded(shown)
+        shown = srgb_of_linear(shown)
     return _PixelRows(
         outputs=outputs,
         pictures=(pictures - low) / (high - low),
