@@ -79,3 +79,19 @@ def test_two_clips_and_a_still_are_drawn_as_in_python_and_fetched_as_time_goes_o
     )
     assert len(opened) == 2
     assert [error for error in site.errors if error.startswith("page:")] == []
+
+
+def test_a_later_segment_above_the_capacity_is_named(page: Any, site: WebSite) -> None:
+    """The first one is a file of few Gaussians."""
+    segments = [
+        {"path": path, "seconds": 1} for path in ("still.ply", "clip/0001.onnx", "still.ply")
+    ]
+    result = shown(site, {"models": [{"segments": segments, "capacity": 300}]})
+    assert result["errors"] == []
+    error = page.evaluate(
+        """() => {
+          const { _shown: shown } = document.querySelector("gsgen-scene");
+          return shown.model.entries[0].model.update({ time: 1.5 }, shown.orbit.camera(96, 64)).catch(String);
+        }"""
+    )
+    assert "clip/0001.onnx: has 400 Gaussians, expected at most 300" in error

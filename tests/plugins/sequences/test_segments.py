@@ -18,13 +18,19 @@ ROWS, FRAMES, FPS = 300, 9, 10
 OPTIONS = ("--fps", str(FPS), "--segment", "0.3", "--level", "static", "--moments", "0")
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of the scene file of a folder, and of its segments."""
+    files = [folder / "clip.json", *(folder / "clip").iterdir()]
+    return {file.name: file.read_bytes() for file in files if file.is_file()}
+
+
 def export(folder: Path, *options: str) -> dict[str, bytes]:
     """Export the frames of a folder, and return the bytes of all files that were written."""
     scene = folder / "clip.json"
     ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(scene), *options)
     assert ran.code == 0, ran.err
-    files = [scene, *(folder / "clip").iterdir()]
-    return {file.name: file.read_bytes() for file in files}
+    assert not (folder / "clip" / ".gsgen-export").exists()
+    return contents(folder)
 
 
 @pytest.fixture(scope="module")
@@ -98,11 +104,11 @@ def test_a_stopped_export_resumes_to_the_same_bytes(
     assert ran.code == 4
     assert "0008.ply" in ran.err
     assert not (tmp_path / "clip.json").exists()
-    finished = tmp_path / "clip" / "0001.onnx"
+    (finished,) = (tmp_path / "clip").rglob("0001.onnx")
     times = finished.stat().st_mtime_ns
     last.write_bytes(content)
     assert export(tmp_path, *OPTIONS, "--loop", "--engine", engine, "--workers", "1") == written
-    assert finished.stat().st_mtime_ns == times
+    assert (tmp_path / "clip" / "0001.onnx").stat().st_mtime_ns == times
 
 
 def test_frames_that_share_no_gaussians_are_shown_one_by_one(tmp_path: Path) -> None:
@@ -149,6 +155,20 @@ def test_a_segment_above_the_capacity_is_named(folder: Path) -> None:
         open_scene(folder / "small.json")
 
 
+@pytest.mark.parametrize(
+    ("option", "value"), [("--segment", "0.5"), ("--engine", "serial"), ("--workers", "2")]
+)
+def test_options_of_segments_need_a_scene_file(folder: Path, option: str, value: str) -> None:
+    model = folder / "one.onnx"
+    ran = gsgen_here(
+        *("export", "sequence", str(folder / "frames"), "-o", str(model)), option, value
+    )
+    assert ran.code == 2
+    assert f"{option}: {value} is for segments, which a scene file has, not one.onnx" in ran.err
+    assert "one.json" in ran.err
+    assert not model.exists()
+
+
 def test_too_few_frames_are_refused(tmp_path: Path) -> None:
     write_sequence(tmp_path / "frames", rows=50, frames=2)
     scene = tmp_path / "clip.json"
@@ -183,5 +203,14 @@ def test_an_export_replaces_its_own_segments(tmp_path: Path) -> None:
     write_sequence(tmp_path / "frames", rows=20, frames=4)
     export(tmp_path, *OPTIONS[:2], "--segment", "0.1", *OPTIONS[4:])
     (tmp_path / "clip" / "notes.txt").write_text("kept")
+    # A stopped export leaves the scene file and its segments as they are.
+    last = tmp_path / "frames" / "0003.ply"
+    content, before = last.read_bytes(), contents(tmp_path)
+    last.write_bytes(content[:500])
+    arguments = ("export", "sequence", str(tmp_path / "frames"), "-o", str(tmp_path / "clip.json"))
+    assert gsgen_here(*arguments, *OPTIONS, "--segment", "0.2").code == 4
+    assert contents(tmp_path) == before
+    # Nor is a finished segment of other options taken.
+    last.write_bytes(content)
     written = export(tmp_path, *OPTIONS)
     assert set(written) == {"clip.json", "0000.sog", "0001.onnx", "notes.txt"}

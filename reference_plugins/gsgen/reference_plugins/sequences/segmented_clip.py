@@ -3,9 +3,10 @@
 A player opens the segment of its moment, and the next. The first segment is the first frame as SOG,
 so that a picture is there before a clip is. Frames that share too few Gaussians for a clip are SOG
 files, too: each has a set of its own, and sets are never blended. Each segment is a task that writes
-its file whole, and a record of its inputs: a stopped export resumes after its last segment, and any
-engine writes the same bytes. The folder of the segments is theirs: one that holds frames, or
-segments of another origin, is refused.
+its files and their record into a draft folder, named after its inputs: a stopped export resumes
+after its last segment, and any engine writes the same bytes. Files move to their places when all
+are there, so that a scene file never names segments of two exports. The folder of the segments is
+theirs: one that holds frames, or segments of another origin, is refused.
 """
 
 __all__ = ["ClipExport"]
@@ -51,8 +52,10 @@ from gsgen.tiles.build.files import read_json, write_json
 from gsgen.tiles.loading.leaves import open_splats
 
 _SCENE_SUFFIX: Final = ".json"
-_RECORDS: Final = ".gsgen-export"  # folder of the finished segments' records
+_DRAFTS: Final = ".gsgen-export"  # folder of the finished segments, until all are there
+_RECORD: Final = "record.json"
 _MIN_FRAMES: Final = 3
+_USUAL_SECONDS: Final = 2.0
 _SEGMENT_NAME: Final = re.compile(r"\d{4,}(\.onnx|\.sog|-\d{4,}\.sog)")
 
 
@@ -64,22 +67,36 @@ class ClipExport(GraphSource):
         files: The frames.
         clip: Options of the clip, of whose frames ``names`` and ``read`` are set here.
         moments: How many moments are drawn and compared; 0 for none.
-        seconds: The length of a segment.
-        engine: Runs the exports of segments: serial, processes, dask or dask=ADDRESS.
+        seconds: The length of a segment; 2 where absent.
+        engine: Runs the exports of segments: serial (the default), processes, dask or dask=ADDRESS.
         workers: Processes; as many as there are processor cores where absent.
     """
 
     files: FrameFiles
     clip: ClipSource
     moments: int
-    seconds: float
-    engine: str
+    seconds: float | None
+    engine: str | None
     workers: int | None
 
     def export(self, path: str | os.PathLike[str], **options: Any) -> Exported:
-        """Export the frames; a path that ends in .json is that of a scene file of segments."""
+        """Export the frames; a path that ends in .json is that of a scene file of segments.
+
+        Raises:
+            ConfigInvalid: An option is not one of this export, or there are too few frames.
+        """
         path = Path(path)
         if path.suffix.lower() != _SCENE_SUFFIX:
+            of_segments = {
+                "--segment": self.seconds,
+                "--engine": self.engine,
+                "--workers": self.workers,
+            }
+            for option, value in of_segments.items():
+                if value is not None:
+                    message = f"{value} is for segments, which a scene file has, not {path.name}"
+                    hint = f"Write -o {path.with_suffix(_SCENE_SUFFIX)}, or leave the option out."
+                    raise ConfigInvalid(message, where=option, hint=hint)
             return self.part(range(len(self.files.paths)), joined=False).export(path, **options)
         return self._export_segments(path, **options)
 
@@ -114,7 +131,7 @@ class ClipExport(GraphSource):
         if has_still:
             yield task(0, (0,), joined=False)
         # The last segment of a sequence that does not loop has its last two frames, at least.
-        length = max(1, round(self.seconds * fps))
+        length = max(1, round((self.seconds or _USUAL_SECONDS) * fps))
         starts = list(range(int(has_still), max(frames - 1, 1), length))
         ends = [*starts, frames if self.clip.loop else frames - 1]
         for index, (start, end) in enumerate(pairwise(ends)):
@@ -130,10 +147,10 @@ class ClipExport(GraphSource):
         folder = path.with_suffix("")
         name = options.pop("name") or path.stem
         _require_own_folder(folder, path, self.files.paths)
-        (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
+        (folder / _DRAFTS).mkdir(parents=True, exist_ok=True)
         tasks = list(self._tasks(folder, {**options, "name": name}))
         records: dict[int, dict[str, Any]] = {}
-        with open_engine(self.engine, self.workers) as engine:
+        with open_engine(self.engine or "serial", self.workers) as engine:
             for index, record in engine.run(_export_segment, tasks):
                 records[index] = record
                 progress(f"segment {len(records)} of {len(tasks)}")
@@ -153,9 +170,13 @@ class ClipExport(GraphSource):
             ],
             "timeline": {"seconds": sum(frames.values()) / fps, "fps": fps, "loop": self.clip.loop},
         }
+        files = [folder / file for file in frames]
+        path.unlink(missing_ok=True)  # until all of its files are there
+        for record in segments:
+            for file in record["files"]:
+                os.replace(folder / _DRAFTS / record["folder"] / file, folder / file)
         with atomic_write(path) as draft:
             draft.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
-        files = [folder / file for file in frames]
         _remove_others(folder, files)
         manifest, report = self._check(files, name, progress, options)
         return _result(path, files, segments, manifest, report)
@@ -182,7 +203,7 @@ class _SegmentTask:
     """A segment to export.
 
     Attributes:
-        file: To be written.
+        file: Its place, once all segments are there.
         numbers: Of its frames.
         joined: Whether the last of them is the first one of the next segment.
         export: The whole export.
@@ -205,14 +226,12 @@ class _SegmentTask:
         """How many frames the segment lasts."""
         return len(self.numbers) - self.joined
 
-    def clip(self) -> dict[str, Any]:
+    def clip(self, file: Path) -> dict[str, Any]:
         """Write the segment as a clip, and return its record."""
-        exported = self.export.part(self.numbers, joined=self.joined).export(
-            self.file, **self.options
-        )
+        exported = self.export.part(self.numbers, joined=self.joined).export(file, **self.options)
         assert exported.measured is not None
         return {
-            "files": {self.file.name: self.frames},
+            "files": {file.name: self.frames},
             "rows": exported.measured["rows"],
             "measured": exported.measured,
             "notes": list(exported.notes),
@@ -251,19 +270,21 @@ class _SegmentTask:
 
 
 def _export_segment(task: _SegmentTask) -> dict[str, Any]:
-    """Write a segment unless its record says that it is there; return the record."""
-    folder, stem = task.file.parent, task.file.stem
-    # A segment whose record is of other inputs is written again.
-    record_file = folder / _RECORDS / f"{stem}-{task.key()}.json"
+    """Write the draft of a segment unless its record says that it is there; return the record."""
+    stem = task.file.stem
+    # A draft of other inputs has another name.
+    folder = task.file.parent / _DRAFTS / f"{stem}-{task.key()}"
+    draft, record_file = folder / task.file.name, folder / _RECORD
     if record_file.exists():
-        record: dict[str, Any] = read_json(record_file)
+        record: dict[str, Any] = read_json(record_file, hint="Remove it, and export once more.")
         if all((folder / file).exists() for file in record["files"]):
             return record
+    folder.mkdir(exist_ok=True)
     if not task.is_clip:
-        record = task.stills({task.file: task.numbers[0]})
+        record = task.stills({draft: task.numbers[0]})
     else:
         try:
-            record = task.clip()
+            record = task.clip(draft)
         except FramesUnmatched:
             numbers = task.numbers[: task.frames]
             record = task.stills(
@@ -273,6 +294,7 @@ def _export_segment(task: _SegmentTask) -> dict[str, Any]:
                 f"frames {numbers[0]} to {numbers[-1]} share too few Gaussians for a clip: each has "
                 "a file of its own"
             ]
+    record["folder"] = folder.name
     write_json(record_file, record)
     return record
 
@@ -288,7 +310,7 @@ def _require_own_folder(folder: Path, scene: Path, frames: Sequence[Path]) -> No
     if any(frame.parent.samefile(folder) for frame in frames):
         message = "holds the frames, expected a folder for the segments alone"
         raise ConfigInvalid(message, where=str(folder), hint=hint)
-    if (folder / _RECORDS).exists():  # of an export that was stopped
+    if (folder / _DRAFTS).exists():  # of an export that was stopped
         return
     earlier = scene.read_text("utf-8", "replace") if scene.is_file() else ""
     for file in sorted(folder.iterdir()):
@@ -298,8 +320,8 @@ def _require_own_folder(folder: Path, scene: Path, frames: Sequence[Path]) -> No
 
 
 def _remove_others(folder: Path, files: Sequence[Path]) -> None:
-    """Remove the records, and segments of an earlier export."""
-    shutil.rmtree(folder / _RECORDS)
+    """Remove drafts, and segments of an earlier export."""
+    shutil.rmtree(folder / _DRAFTS)
     for file in folder.iterdir():
         if _SEGMENT_NAME.fullmatch(file.name) and file not in files:
             file.unlink()

@@ -55,15 +55,20 @@ def build(
         ),
     ] = 4,
     segment: Annotated[
-        float,
-        typer.Option(help="Seconds of a segment, where the output is a scene file.", min=0.01),
-    ] = 2.0,
-    engine: Annotated[
-        str,
+        float | None,
         typer.Option(
-            help="What exports segments: serial, processes, dask (this machine) or dask=ADDRESS."
+            help="Seconds of a segment, where the output is a scene file.",
+            show_default="2",
+            min=0.01,
         ),
-    ] = "serial",
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            help="What exports segments: serial, processes, dask (this machine) or dask=ADDRESS.",
+            show_default="serial",
+        ),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
     ] = None,

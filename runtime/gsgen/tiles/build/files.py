@@ -44,17 +44,15 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
         raise ConfigInvalid(f"cannot be written: {write_fault(error)}", where=str(path)) from error
 
 
-def read_json(path: Path) -> Any:
-    """Return the JSON value in a file."""
+def read_json(path: Path, hint: str = "Start again with --fresh.") -> Any:
+    """Return the JSON value in a file; ``hint`` is what to do if it is damaged."""
     try:
         return json.loads(path.read_bytes())
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
         raise InputUnreadable(message, where=str(path)) from error
     except ValueError as error:
-        raise InputUnreadable(
-            f"is not JSON: {error}", where=str(path), hint="Start again with --fresh."
-        ) from error
+        raise InputUnreadable(f"is not JSON: {error}", where=str(path), hint=hint) from error
 
 
 def sweep(folder: Path) -> int:

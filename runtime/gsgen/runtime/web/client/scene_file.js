@@ -81,10 +81,10 @@ class Fields {
     });
   }
 
-  /** Refuse fields that nobody read. */
-  close() {
+  /** Refuse fields that nobody read. @template T @param {T} [result] What the others say. @returns {T} */
+  close(result) {
     const unknown = Object.keys(this.document).find((name) => !this._known.includes(name));
-    if (unknown === undefined) return;
+    if (unknown === undefined) return /** @type {T} */ (result);
     const hint = hintAmong(unknown, this._known, "It may have");
     throw new GsgenError(`unknown field ${written(unknown)}`, { where: this.where, hint });
   }
@@ -133,9 +133,10 @@ function modelOf(fields) {
   const capacity = fields.read("capacity", (value) => Number.isInteger(value) && within(1, 2 ** 30)(value), "a whole number from 1 to 1073741824");
   if (segments.length && fields.document.path != null) fields.refuse("path", "excludes `segments`: leave one of them out");
   if (Boolean(segments.length) !== (capacity !== null)) fields.refuse("capacity", "is the most Gaussians of `segments`: give both or neither");
-  const model = {
+  return fields.close({
     path: segments.length ? undefined : fields.required("path"),
     segments,
+    capacity: capacity ?? 0,
     transform: transformOf(fields),
     opacity: fields.read("opacity_scale", (value) => isNumber(value) && value >= 0, "a finite number from 0") ?? 1,
     degree: fields.read("sh_degree", (value) => [0, 1, 2, 3].includes(value), "a whole number from 0 to 3"),
@@ -146,22 +147,18 @@ function modelOf(fields) {
     isVisible: fields.read("visible", isSwitch, "true or false") ?? true,
     where: fields.where,
     fields: fields.document,
-  };
-  fields.close();
-  return model;
+  });
 }
 
 function segmentOf(fields) {
   const seconds = fields.read("seconds", (value) => isNumber(value) && value > 0, "seconds above 0");
-  const segment = { path: fields.required("path"), seconds: seconds ?? fields.refuse("seconds", "is missing, expected seconds above 0"), where: fields.where };
-  fields.close();
-  return segment;
+  return fields.close({ path: fields.required("path"), seconds: seconds ?? fields.refuse("seconds", "is missing, expected seconds above 0"), where: fields.where });
 }
 
 /** @param {Fields} fields Of a mesh: its place, how it is drawn, and the clip that it plays. */
 function meshOf(fields) {
   const isName = (value) => isText(value) || (Number.isInteger(value) && value >= 0);
-  const mesh = {
+  return fields.close({
     path: fields.required("path"),
     transform: transformOf(fields),
     shading: fields.choice("shading", SHADINGS),
@@ -170,9 +167,7 @@ function meshOf(fields) {
     isVisible: fields.read("visible", isSwitch, "true or false") ?? true,
     where: fields.where,
     fields: fields.document,
-  };
-  fields.close();
-  return mesh;
+  });
 }
 
 /** @param {Fields} fields @returns {SceneAnnotation} */
@@ -180,15 +175,11 @@ function annotationOf(fields, up) {
   const position = fields.read("position", isList(3), "3 numbers") ?? fields.refuse("position", "is missing, expected 3 numbers");
   const camera = fields.read("camera", (value) => isText(value) && placeOf(value) !== null, CAMERA_FORMS);
   const normal = fields.read("normal", isList(3), "3 numbers");
-  const annotation = { position, text: fields.required("text"), normal, camera: camera && orbitOf(placeOf(camera), up) };
-  fields.close();
-  return annotation;
+  return fields.close({ position, text: fields.required("text"), normal, camera: camera && orbitOf(placeOf(camera), up) });
 }
 
 function postOf(fields) {
-  const post = { path: fields.required("path"), inputs: inputsOf(fields), where: fields.where };
-  fields.close();
-  return post;
+  return fields.close({ path: fields.required("path"), inputs: inputsOf(fields), where: fields.where });
 }
 
 /** Return the place of an object: its matrix, or first scaled, then turned, then moved. */

@@ -1,23 +1,25 @@
 /** Segments: files that follow each other in time, of which a page has the present one and the next. */
 
+import { GsgenError } from "./errors.js";
 import { remembered } from "./once.js";
 import { valueOfTime } from "./playback.js";
 
 /** Models of which each is shown for its seconds, as one. */
 export class SegmentedModel {
   /**
-   * @param {{path: string, seconds: number, where: string}[]} segments
+   * @param {{segments: {path: string, seconds: number, where: string}[], capacity: number}} part Of a scene file.
    * @param {(segment: any, signal?: AbortSignal) => Promise<import("./model.js").Model>} openModel The first has no signal.
    */
-  static async open(segments, openModel) {
-    const model = new SegmentedModel(segments, openModel);
+  static async open(part, openModel) {
+    const model = new SegmentedModel(part, openModel);
     model._shown = await model._open(0, null);
     const { extent, up, findings, followsCamera } = model._shown;
     return Object.assign(model, { extent, up, findings, followsCamera });
   }
 
-  constructor(segments, openModel) {
+  constructor({ segments, capacity }, openModel) {
     this._segments = segments;
+    this._capacity = capacity;
     this._openModel = openModel;
     /** @type {Map<number, Promise<import("./model.js").Model>>} */
     this._opened = new Map();
@@ -53,6 +55,8 @@ export class SegmentedModel {
     const [model, before] = [await this._open(index), this._shown];
     const share = Math.min((time - start) / this._segments[index].seconds, 1);
     const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera);
+    const { count } = model.buffers;
+    if (count > this._capacity) throw new GsgenError(`has ${count} Gaussians, expected at most ${this._capacity}`, { where: this._segments[index].path, hint: "Raise the capacity." });
     this._shown = model;
     if (next !== this._lost) this._open(next).then(() => (this._lost = -1), () => (this._lost = next));
     this._leave((other) => other !== index && other !== next);

@@ -84,7 +84,7 @@ export class Stage {
       throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });
     };
     const opening = scene.models.map(async (part) => {
-      const model = part.segments.length ? SegmentedModel.open(part.segments, openFile) : openFile(part);
+      const model = part.segments.length ? SegmentedModel.open(part, openFile) : openFile(part);
       return { ...part, model: await model };
     });
     const results = await Promise.allSettled(opening);
