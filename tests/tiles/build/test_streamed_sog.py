@@ -132,5 +132,10 @@ def test_what_a_streamed_sog_cannot_say_is_refused(scene: Path, tmp_path: Path) 
     result = gsgen_here("tiles", "build", scene, *output, "--lon", "1", "--lat", "2")
     assert result.code == 2
     assert "--lon: cannot be combined with --codec sog" in result.err
+    for codec in ("sog", "khr"):
+        options = ("-o", tmp_path / "out", "--codec", codec, "--quality", "3")
+        result = gsgen_here("tiles", "build", scene, *options)
+        assert result.code == 2
+        assert f"--quality: cannot be combined with --codec {codec}" in result.err
     result = gsgen_here("tiles", "build", scene, *output, "--engine", "serial")
     assert "6,000 splats in " in result.out

@@ -3,24 +3,38 @@
 import numpy as np
 import pytest
 
-from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.poses import Pose, matrix_quaternion, rotation_quaternion
 from gsgen.tiles.prediction.prefetch import PathPrefetch, ViewSettings
 from support.tiles.request_trees import tree_of
 
 LEVEL = np.array([1.0, 0, 0, 0])
 
 
+def turned(degrees: float) -> np.ndarray:
+    return rotation_quaternion(np.radians([0.0, degrees, 0.0]))
+
+
 @pytest.mark.parametrize("is_film", [False, True])
-def test_frames_that_are_drawn_are_forgotten(is_film: bool) -> None:
+@pytest.mark.parametrize(
+    "path",
+    [
+        [(np.array([x, 0.0, -9.0]), LEVEL) for x in (0, 2, 4, 6, 8)],
+        [(np.array([0.0, 0.0, -9.0]), turned(angle)) for angle in (0, 0.01, 5, 80, 170)],
+    ],
+    ids=["moving", "turning"],
+)
+def test_frames_that_are_drawn_are_forgotten(
+    path: list[tuple[np.ndarray, np.ndarray]], is_film: bool
+) -> None:
     """The frame of the present moment has been requested by itself."""
     tree = tree_of([-1, 0, 0, 0])
-    eyes = [np.array([x, 0.0, -9.0]) for x in (0, 2, 4, 6, 8)]
-    frustums = [ViewSettings().frustum(eye, LEVEL) for eye in eyes]
-    times = None if is_film else [float(number) for number in range(len(eyes))]
+    frustums = [ViewSettings().frustum(*pose) for pose in path]
+    times = None if is_film else [float(number) for number in range(len(path))]
     prefetch = PathPrefetch(tree, frustums, 0.01, times=times)
     everything = np.ones(len(tree), bool)
-    for number, eye in enumerate(eyes):
-        prefetch.observe(Pose(float(number), eye, LEVEL))
+    for number, (eye, _) in enumerate(path):
+        quaternion = matrix_quaternion(frustums[number].rotation.T)
+        prefetch.observe(Pose(float(number), eye, quaternion))
         assert prefetch.candidates(everything) == []
         first = number if is_film else number + 1
-        assert sorted(prefetch._orders) == list(range(first, len(eyes)))
+        assert sorted(prefetch._orders) == list(range(first, len(path)))

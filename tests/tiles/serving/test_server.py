@@ -1,5 +1,6 @@
 """`gsgen tiles serve`: what it answers, to whom, and what holds it."""
 
+import gzip
 import socket
 import threading
 import time
@@ -105,7 +106,9 @@ def server(folder: Path) -> Iterator[TileServer]:
 
 def ask(server: TileServer, path: str, method: str = "GET", **headers: str) -> HTTPResponse:
     connection = HTTPConnection(*server.server_address[:2], timeout=10)
-    connection.putrequest(method, "/x", skip_host="Host" in headers)
+    connection.putrequest(
+        method, "/x", skip_host="Host" in headers, skip_accept_encoding="Accept_Encoding" in headers
+    )
     connection._buffer[0] = f"{method} {path} HTTP/1.1".encode()  # type: ignore[attr-defined]
     for name, value in headers.items():
         connection.putheader(name.replace("_", "-"), value)
@@ -162,6 +165,47 @@ def test_ranges_and_etags(server: TileServer) -> None:
     assert ask(server, "/t/a.glb", Range="bytes=0-3", If_Range='"other"').status == 200
     head = ask(server, "/t/a.glb", "HEAD")
     assert (head.headers["Content-Length"], head.data) == (str(len(BODY)), b"")
+
+
+@pytest.mark.parametrize(
+    ("accepted", "is_packed"),
+    [
+        ("gzip", True),
+        ("br, GZIP;q=0.5", True),
+        ("deflate, *", True),
+        ("gzip; q=1.000", True),
+        ("", False),
+        ("identity", False),
+        ("br", False),
+        ("gzip;q=0", False),
+        ("*, gzip;q=0.000", False),
+    ],
+)
+def test_json_is_packed_for_those_who_take_it(
+    folder: Path, server: TileServer, accepted: str, is_packed: bool
+) -> None:
+    text = b'{"root": 0}' * 2000
+    (folder / "t" / "tileset.json").write_bytes(text)
+    answer = ask(server, "/t/tileset.json", Accept_Encoding=accepted)
+    assert answer.headers["Content-Encoding"] == ("gzip" if is_packed else None)
+    assert answer.headers["Vary"] == "Accept-Encoding"
+    assert int(answer.headers["Content-Length"]) == len(answer.data)
+    assert (gzip.decompress(answer.data) if is_packed else answer.data) == text
+    assert (len(answer.data) < 200) is is_packed
+    # Both forms are files of their own to caches, and ranges are those of the file itself.
+    tag = answer.headers["ETag"]
+    same = ask(server, "/t/tileset.json", Accept_Encoding=accepted, If_None_Match=tag)
+    assert (same.status, same.headers["ETag"], same.headers["Vary"]) == (
+        304,
+        tag,
+        "Accept-Encoding",
+    )
+    assert (tag == ask(server, "/t/tileset.json").headers["ETag"]) is not is_packed
+    part = ask(server, "/t/tileset.json", Accept_Encoding=accepted, Range="bytes=2-5")
+    assert (part.status, part.data, part.headers["Content-Encoding"]) == (206, text[2:6], None)
+    head = ask(server, "/t/tileset.json", "HEAD", Accept_Encoding=accepted)
+    assert head.headers["Content-Length"] == answer.headers["Content-Length"]
+    assert ask(server, "/t/a.glb", Accept_Encoding=accepted).data == BODY
 
 
 @pytest.mark.parametrize(

@@ -53,27 +53,50 @@ def test_a_complete_cut_is_the_picture_of_all_splats(town: Path) -> None:
     source.close()
 
 
-def test_a_server_is_asked_for_each_file_once(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_is_asked_for_each_file_once(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first session reads no file twice, and keeps all on disk for the second one."""
     from gsgen.tiles.stores.http_store import HttpStore
 
     asked: list[str] = []
-    read = HttpStore.read
+    read = HttpStore.read_whole
     monkeypatch.setattr(
         HttpStore,
-        "read",
-        lambda store, path, **rest: asked.append(path) or read(store, path, **rest),
+        "read_whole",
+        lambda store, path, *rest: asked.append(path) or read(store, path, *rest),
     )
+    options = SessionOptions(max_error=0.01, cache_folder=tmp_path / "cache")
+    counts = []
     with served(town) as address:
-        session = open_session(f"{address}lod-meta.json", SessionOptions(max_error=0.01))
-        frame = session.frame(Frustum.from_camera(VIEW))
-        while not frame.is_complete:
-            session.wait(0.05)
+        for _ in range(2):
+            session = open_session(f"{address}lod-meta.json", options)
             frame = session.frame(Frustum.from_camera(VIEW))
-        session.close()
-    images = [path for path in asked if path.endswith(".webp")]
-    assert images
-    assert len(images) == len(set(images))
-    assert frame.missing == 0
+            while not frame.is_complete:
+                session.wait(0.05)
+                frame = session.frame(Frustum.from_camera(VIEW))
+            session.close()
+            assert frame.missing == 0
+            counts.append(len(asked))
+    assert len(asked) == len(set(asked))
+    assert any(path.endswith(".webp") for path in asked)
+    assert counts == [len(asked)] * 2
+
+
+def test_a_folder_or_address_may_hold_a_streamed_sog(town: Path) -> None:
+    """Where there is no tileset.json, lod-meta.json is read; validation is for tilesets alone."""
+    with served(town) as address:
+        for source in (town, address):
+            result = gsgen_here("tiles", "info", source)
+            assert (result.code, result.err) == (0, "")
+            assert "6,000 in leaves" in result.out
+        result = gsgen_here("tiles", "info", f"{address}none/")
+        assert result.code == 4
+        assert "none/tileset.json" in result.err
+        assert "lod-meta.json" not in result.err
+        result = gsgen_here("validate", address)
+        assert result.code == 4
+        assert "tileset.json" in result.err
 
 
 def test_frames_stream_what_conversions_read_whole(town: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.json_values import JsonDict
 
-ALGORITHM_VERSION: Final = 5
+ALGORITHM_VERSION: Final = 6
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""
 
 

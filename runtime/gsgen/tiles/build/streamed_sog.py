@@ -2,7 +2,7 @@
 
 A *unit* is an octree cell, or small neighbours, with at most ``UNIT_SPLATS`` splats. It has a SOG
 file at each level of detail, whose rows are those of its leaves. No unit crosses a partition, so that
-no byte depends on how the work is divided.
+no byte depends on how the work is divided. Paths hold digests of the contents, for caches.
 """
 
 __all__ = ["UNIT_SPLATS", "write_streamed_index", "write_units"]
@@ -16,10 +16,8 @@ import numpy as np
 from jaxtyping import UInt64
 
 from gsgen.contract.file_kinds.names import META_FILE, STREAMED_META
-from gsgen.formats.shared.files import make_folder
-from gsgen.formats.sog.meta import Meta
 from gsgen.formats.sog.streamed_write import Chunks, LeafNode, level_files, streamed_document
-from gsgen.formats.sog.write import InMemory, write_sog_parts
+from gsgen.formats.sog.write import InMemory, sog_files
 from gsgen.tiles.build.files import write_bytes
 from gsgen.tiles.build.plan import Plan, octree_runs
 from gsgen.tiles.build.spill import Rows
@@ -60,13 +58,12 @@ def _write_unit(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"]) -> Json
     counts: list[int] = []
     for level in range(_LEVELS):
         (splats,) = level_files(leaves, level, level, len(rows))
-        folder = Path(plan.output) / f"{level}_{int(codes[0]):x}"
-        make_folder(folder / META_FILE)
-        write_sog_parts(folder / META_FILE, InMemory(splats), is_sorted=True)
-        names = Meta.parse((folder / META_FILE).read_bytes()).all_files()
-        for name in (META_FILE, *names):
-            data = (folder / name).read_bytes()
-            files.append([f"{folder.name}/{name}", len(data), hashlib.sha256(data).hexdigest()])
+        contents = sog_files(InMemory(splats), is_sorted=True, has_digests=True)
+        digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+        folder = f"{level}_{int(codes[0]):x}-{digests[META_FILE][:8]}"
+        for name, data in contents.items():
+            write_bytes(Path(plan.output) / folder / name, data)
+            files.append([f"{folder}/{name}", len(data), digests[name]])
         counts.append(len(splats))
     return {"leaves": [leaf.node for leaf in leaves], "files": files, "counts": counts}
 

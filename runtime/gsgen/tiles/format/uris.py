@@ -4,7 +4,7 @@ Generic syntax: RFC 3986. A tileset refers to files below its own folder only; a
 is refused, so that a downloaded file cannot make a reader open another one.
 """
 
-__all__ = ["is_external", "resolve_uri"]
+__all__ = ["DIGEST_IN_PATH", "is_external", "resolve_uri"]
 
 import posixpath
 import re
@@ -12,6 +12,9 @@ from urllib.parse import unquote
 
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.json_values import shorten
+
+DIGEST_IN_PATH = re.compile(r"-([0-9a-f]{8})(?:\.glb|\.webp|/meta\.json)$")
+"""The first digits of a file's SHA-256 in its path: a file of such a path never changes."""
 
 _URI_SCHEME_PATTERN = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 _MAX_URI_LENGTH = 2048

@@ -11,7 +11,9 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.contract.file_kinds.names import STREAMED_META
+from gsgen.formats.tileset_paths import INDEX_FILE
+from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
 from gsgen.tiles.format.implicit_tiling.subtree import Subtree, read_subtree
 from gsgen.tiles.format.implicit_tiling.tree import (
@@ -65,7 +67,8 @@ def load_tileset(
 
     Args:
         store: Where its files lie.
-        index: Path of ``tileset.json``, or of the ``lod-meta.json`` of a streamed SOG.
+        index: Path of ``tileset.json``, or of the ``lod-meta.json`` of a streamed SOG; that is
+            also read, without a ``report``, in place of a ``tileset.json`` that is missing.
         limits: How much is read.
         report: Receives the faults; without it, the first one is raised.
         name: Name of the tileset in messages.
@@ -74,10 +77,18 @@ def load_tileset(
         TilesetInvalid: The index cannot be read at all, or something in it and ``report``
             raises.
     """
+    limits, name = limits or Limits(), name or store.name
     if is_streamed_sog(index):
-        return load_streamed_sog(store, index, limits or Limits(), name or store.name)
-    loader = _Loader(store, limits or Limits(), report or StrictReport())
-    return loader.tileset(index, name or store.name)
+        return load_streamed_sog(store, index, limits, name)
+    try:
+        return _Loader(store, limits, report or StrictReport()).tileset(index, name)
+    except ContentMissing as error:
+        if index != INDEX_FILE or report is not None:
+            raise
+        try:  # a folder or an address of one may hold the other kind
+            return load_streamed_sog(store, STREAMED_META, limits, name)
+        except ContentMissing:
+            raise error from None
 
 
 @final

@@ -11,6 +11,7 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.selection.cut import cut_tree
@@ -24,8 +25,6 @@ HORIZON_FRACTIONS: Final = (0.125, 0.25, 0.5, 1.0)
 """Of the horizon: the moments whose cameras are predicted."""
 PLAN_INTERVAL_SECONDS: Final = 0.1
 """Seconds between two predictions of the tiles that will be seen."""
-
-
 _MOST_PATH_TILES: Final = 16  # that are looked for at once
 
 
@@ -154,9 +153,12 @@ class PathPrefetch:
         if self._frame_times is not None:
             self._frame = bisect_right(self._frame_times, pose.time)
         else:
-            ahead = range(self._frame, len(self._frustums))
-            matches = (i for i in ahead if np.array_equal(self._frustums[i].eye, pose.position))
-            self._frame = next(matches, self._frame)
+            turn = rotation_matrix(pose.quaternion[None])[0].T
+            for frame, view in enumerate(self._frustums[self._frame :], self._frame):
+                is_same_eye = np.array_equal(view.eye, pose.position)
+                if is_same_eye and np.allclose(view.rotation, turn, rtol=0, atol=1e-9):
+                    self._frame = frame
+                    break
         for frame in [frame for frame in self._orders if frame < self._frame]:
             del self._orders[frame]
 

@@ -1,7 +1,9 @@
-"""An HTTP server of a folder with ranges, ETags and simulated network faults."""
+"""An HTTP server of a folder with ranges, ETags, packed JSON and simulated network faults."""
 
 __all__ = ["TileServer", "serve_folder"]
 
+import gzip
+import io
 import os
 import re
 import stat
@@ -14,10 +16,13 @@ from urllib.parse import unquote, urlsplit
 
 from gsgen.contract.reporters.summary import printable
 from gsgen.runtime.web.local_server import LocalHandler, LocalServer
+from gsgen.tiles.format.uris import DIGEST_IN_PATH
 from gsgen.tiles.serving.faults import NetworkFaults
 
 _CHUNK_BYTES = 16 << 10
 _STALL_SECONDS = 60.0
+_MAX_PACKED_BYTES: Final = 64 << 20  # of a file that is packed in memory, for each answer
+_GZIP_LEVEL: Final = 6
 _RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
 _FORBIDDEN_CHARACTERS: Final = frozenset("\\:\0")
@@ -35,7 +40,6 @@ _MIME_TYPES: Final = {
     ".jpg": "image/jpeg",
     ".svg": "image/svg+xml",
 }
-_DIGEST_NAME_PATTERN = re.compile(r"-[0-9a-f]{8}\.glb$")
 
 LogFunction = Callable[[str], None]
 
@@ -126,27 +130,42 @@ class _Handler(LocalHandler):
     def _send_stream(self, stream: BinaryIO, *, with_body: bool, cut: bool) -> None:
         """Answer a request from an open file."""
         file, status = Path(stream.name), os.fstat(stream.fileno())
-        etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
+        size, headers = status.st_size, []
+        etag = f'"{status.st_mtime_ns:x}-{size:x}"'
+        if "json" in _mime_type(file):
+            headers = [("Vary", "Accept-Encoding")]
+            if size <= _MAX_PACKED_BYTES and "Range" not in self.headers and self._takes_gzip():
+                etag = f'{etag[:-1]}-gzip"'
+                headers.append(("Content-Encoding", "gzip"))
         if etag in (self.headers.get("If-None-Match") or ""):
-            self._write_head(HTTPStatus.NOT_MODIFIED, file, etag, [])
+            self._write_head(HTTPStatus.NOT_MODIFIED, file, etag, headers[:1])
             return
-        span = self._requested_byte_span(status.st_size, etag)
+        if len(headers) > 1:
+            stream = io.BytesIO(gzip.compress(stream.read(), _GZIP_LEVEL, mtime=0))
+            size = len(stream.getbuffer())
+        span = self._requested_byte_span(size, etag)
         if span is None:
             self._send_refusal(
                 HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
                 with_body=with_body,
-                headers=[("Content-Range", f"bytes */{status.st_size}")],
+                headers=[("Content-Range", f"bytes */{size}")],
             )
             return
-        is_partial_response = span.size < status.st_size
-        headers = [("Content-Length", str(span.size))]
+        is_partial_response = span.size < size
+        headers.append(("Content-Length", str(span.size)))
         if is_partial_response:
             last = span.start + span.size - 1
-            headers.append(("Content-Range", f"bytes {span.start}-{last}/{status.st_size}"))
+            headers.append(("Content-Range", f"bytes {span.start}-{last}/{size}"))
         code = HTTPStatus.PARTIAL_CONTENT if is_partial_response else HTTPStatus.OK
         self._write_head(code, file, etag, headers)
         if with_body:
             self._send_body(stream, span, cut=cut)
+
+    def _takes_gzip(self) -> bool:
+        """Return whether the client takes a gzip body: it names gzip or ``*``, and not with q=0."""
+        codings = (self.headers.get("Accept-Encoding") or "").lower().replace(" ", "").split(",")
+        weights = dict(coding.partition(";q=")[::2] for coding in codings)
+        return (weights.get("gzip", weights.get("*", "0")) or "1").strip("0.") != ""
 
     def _open_file(self) -> BinaryIO | None:
         """Open the requested file; None if it is hidden, or not a readable file in the folder."""
@@ -182,11 +201,10 @@ class _Handler(LocalHandler):
         self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
     ) -> None:
         self.send_response(status)
-        kind = _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
-        is_immutable = _DIGEST_NAME_PATTERN.search(file.name) is not None
+        is_immutable = DIGEST_IN_PATH.search(file.as_posix()) is not None
         cache_control = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [
-            ("Content-Type", kind),
+            ("Content-Type", _mime_type(file)),
             ("ETag", etag),
             ("Accept-Ranges", "bytes"),
             ("Cache-Control", cache_control),
@@ -229,6 +247,10 @@ class _Handler(LocalHandler):
                     self.wfile.flush()
         if sent < span.size:  # cut, or the file was cut meanwhile
             self.close_connection = True
+
+
+def _mime_type(file: Path) -> str:
+    return _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
 
 
 def _is_served_name(name: str) -> bool:

@@ -1,8 +1,8 @@
 """Opens the file store of a tileset from a path or an address."""
 
-__all__ = ["address_of", "open_store"]
+__all__ = ["TILESET_KINDS", "address_of", "open_store"]
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
@@ -17,17 +17,15 @@ from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import ZipStore
 
-_TILESET_KINDS: Final = ("tileset", "json")
-_STREAMED_KINDS: Final = ("streamed-sog",)
-_CONTENT_KINDS: Final = ("glb", "glb-splats", "gltf", "gltf-splats")
+TILESET_KINDS: Final = ("tileset", "json")
+"""Kinds of files that list the tiles of a tileset: known ones, and JSON that nothing else claims."""
 
 
 def open_store(
     source: str | Path,
     *,
     allow_origins: Sequence[str] = (),
-    allow_content: bool = False,
-    allow_streamed: bool = True,
+    kinds: Collection[str] = (*TILESET_KINDS, "streamed-sog"),
 ) -> tuple[Store, str]:
     """Return the file store of a tileset, and the path of ``tileset.json`` in the store.
 
@@ -35,8 +33,7 @@ def open_store(
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
             (http, https) of a ``tileset.json`` or a ``.3tz`` archive.
         allow_origins: Other origins that redirects of a server may lead to.
-        allow_content: Whether a file may be the content of a tile.
-        allow_streamed: Whether it may be the ``lod-meta.json`` of a streamed SOG.
+        kinds: Names of the kinds of files that it may be.
 
     Raises:
         TilesetInvalid: The file is of another kind, which the error names.
@@ -53,22 +50,12 @@ def open_store(
         return ZipStore(path), INDEX_FILE
     if path.is_dir():
         return FolderStore(path), INDEX_FILE
-    if path.is_file():
-        _refuse_other_kind(path, allow_content=allow_content, allow_streamed=allow_streamed)
-    return FolderStore(path.parent), path.name
-
-
-def _refuse_other_kind(path: Path, *, allow_content: bool, allow_streamed: bool) -> None:
-    kind = kind_of_file(path)
-    known_names = (
-        *_TILESET_KINDS,
-        *(_CONTENT_KINDS if allow_content else ()),
-        *(_STREAMED_KINDS if allow_streamed else ()),
-    )
-    if kind is not None and kind.name not in known_names:
+    kind = kind_of_file(path) if path.is_file() else None
+    if kind is not None and kind.name not in kinds:
         raise TilesetInvalid(
             f"this is {kind.title}", location=str(path), expected="a tileset", hint=kind.hint
         )
+    return FolderStore(path.parent), path.name
 
 
 def address_of(source: str | Path) -> str:

@@ -5,7 +5,6 @@ __all__ = ["ContentReader"]
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import final
 
 import numpy as np
@@ -53,9 +52,7 @@ class ContentReader:
         qualities: TileQualities | None = None,
     ) -> None:
         self._tile_qualities = qualities
-        self._fetched_quality: dict[
-            int, int
-        ] = {}  # tile → quality of the files that were read last
+        self._fetched_quality: dict[int, int] = {}  # of the files that were read last of a tile
         self._store, self._tileset, self._tree = store, tileset, tree
         self._disk_cache = cache if isinstance(store, HttpStore) else None
         self._sog_files = SogFiles()
@@ -74,17 +71,22 @@ class ContentReader:
             TilesetInvalid: A file is missing, or cannot be read.
         """
         store, size = self._store.for_one_tile(), 0
+
+        def read(uri: str, limit: int = MAX_CONTENT_BYTES) -> bytes:
+            nonlocal size
+            data = self._file(store, uri, lambda count: on_bytes(size + count), limit)
+            size += len(data)
+            return data
+
         containers: list[Container | Splats] = []
         if self._tile_qualities:
             self._fetched_quality[tile] = self._tile_qualities.next_quality(tile)
         for content in self._tile_entry(tile).contents:
-            report = partial(_report_total_bytes, on_bytes, size)
             if content.rows is not None:
                 with self._full_locations():
-                    containers.append(self._sog_files.read(content, partial(_read, store)))
+                    containers.append(self._sog_files.read(content, read))
                 continue
-            data = self._file(store, content.uri, report)
-            size += len(data)
+            data = read(content.uri)
             with self._full_locations():
                 containers.append(open_tile_content(store, content, data))
         return containers
@@ -109,7 +111,7 @@ class ContentReader:
         store: Store,
         uri: str,
         on_bytes: Callable[[int], None],
-        limit: int = MAX_CONTENT_BYTES,
+        limit: int,
         digest: str | None = None,
     ) -> bytes:
         """Read a file of the tileset; files of web servers come from the disk cache if cached."""
@@ -189,12 +191,3 @@ class ContentReader:
     def _full_location(self, location: str) -> str:
         """Prefix a location in a file with the web address, if the file is on a web server."""
         return f"{self._store.name}/{location}" if isinstance(self._store, HttpStore) else location
-
-
-def _read(store: Store, file: str, limit: int) -> bytes:
-    return store.read(file, limit=limit)
-
-
-def _report_total_bytes(on_bytes: Callable[[int], None], bytes_before: int, count: int) -> None:
-    """Report the bytes received of a tile's content files, counted over all files."""
-    on_bytes(bytes_before + count)

@@ -5,7 +5,6 @@ __all__ = ["DiskCache", "default_cache_folder"]
 import contextlib
 import hashlib
 import os
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import BinaryIO, Final, final
 
 from platformdirs import user_cache_path
 
-_DIGEST_NAME_PATTERN: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
+from gsgen.tiles.format.uris import DIGEST_IN_PATH
 
 # The lock leaves it one writer; the next one replaces what a killed process left.
 _DRAFT_NAME: Final = "draft.tmp"
@@ -29,7 +28,7 @@ def default_cache_folder() -> Path:
 class DiskCache:
     """A disk cache of downloaded files with known SHA-256, by which cached bytes are verified.
 
-    Where no SHA-256 is given, the file's name has to hold its first digits.
+    Where no SHA-256 is given, the file's path has to hold its first digits.
     The least recently used files leave first. Several processes may share the folder: each locks
     the file ``FOLDER.lock`` to store a file, and adds the file's bytes to the sum that stands in it.
     A folder that cannot be written is as good as an empty cache.
@@ -54,9 +53,9 @@ class DiskCache:
         Args:
             store: Name of the store.
             path: Of the file in it.
-            digest: SHA-256 of the content in hexadecimal; if None, its start is in the file name.
+            digest: SHA-256 of the content in hexadecimal; if None, its start is in the path.
         """
-        digest = digest or _digest_in_name(path)
+        digest = digest or _digest_in_path(path)
         if digest is None:
             return None
         file = self._file(store, path)
@@ -72,7 +71,7 @@ class DiskCache:
 
     def put(self, store: str, path: str, data: bytes, digest: str | None = None) -> None:
         """Store a file in the disk cache, unless it may change or is incomplete."""
-        digest = digest or _digest_in_name(path)
+        digest = digest or _digest_in_path(path)
         if digest is None or len(data) > self._max_bytes:
             return
         if not hashlib.sha256(data).hexdigest().startswith(digest):
@@ -82,9 +81,8 @@ class DiskCache:
             self._folder.mkdir(parents=True, exist_ok=True)
             with self._open_locked_file() as total_file:
                 total = self._evict_for_size(_read_total_size(total_file), len(data))
-                _write_total_size(
-                    total_file, total
-                )  # before the file: a crash may count it, but never lose it
+                # Before the file: a crash may count it, but never lose it.
+                _write_total_size(total_file, total)
                 draft = self._folder / _DRAFT_NAME
                 draft.write_bytes(data)
                 draft.replace(file)
@@ -130,8 +128,8 @@ class DiskCache:
         return total + size
 
 
-def _digest_in_name(path: str) -> str | None:
-    match = _DIGEST_NAME_PATTERN.search(path)
+def _digest_in_path(path: str) -> str | None:
+    match = DIGEST_IN_PATH.search(path)
     return match[1] if match else None
 
 

@@ -25,9 +25,7 @@ MAX_UNSEEN_FRACTION: Final = 0.25
 _RequestPurpose = Literal["needed", "prefetched", "finer"]
 """Why a tile was requested."""
 
-_PREFETCH_TIMEOUT: Final = (
-    2 * PREDICTION_HORIZON
-)  # seconds after which a prefetched tile counts as wasted
+_PREFETCH_TIMEOUT: Final = 2 * PREDICTION_HORIZON  # seconds: then a prefetched tile is wasted
 _PRIOR_TILE_COUNT: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
 
 
@@ -179,10 +177,8 @@ class RequestPlanner:
         if not self._is_bounded:
             return True
         requested_bytes = int(self._tree.size[self._tiles_by_purpose("prefetched")].sum()) + size
-        received, unseen_total = (
-            self._recorder.bytes + requested_bytes,
-            self._recorder.unseen_bytes + requested_bytes,
-        )
+        received = self._recorder.bytes + requested_bytes
+        unseen_total = self._recorder.unseen_bytes + requested_bytes
         pending = self._ledger.pending_bytes + requested_bytes
         expected = unseen_total - pending * self._ledger.precision
         return (

@@ -345,9 +345,8 @@ class TilesetSession:
         """Take the tiles that arrived over the network; report the tiles that failed."""
         self._fetch_link.queue(())  # the link begins no request while this frame plans
         results = list(self._fetch_link.poll())
-        self._started_requests = (
-            self._fetch_link.take_started()
-        )  # after the poll: no result lacks its request
+        # After the poll: no result lacks its request.
+        self._started_requests = self._fetch_link.take_started()
         for tile in self._started_requests:
             self._planner.begin(tile)
         for result in results:

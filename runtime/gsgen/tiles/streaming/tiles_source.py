@@ -127,17 +127,15 @@ class TilesSource(Source):
     def _note_shortfall(self, frame: SessionFrame) -> None:
         """Keep what a frame lacks that was waited for."""
         self._absent_tiles.update(frame.absent_tiles)
-        seconds = f"within {self._waits_for_tiles:g} s"
+        late = ""
         if frame.missing:
-            self._late_tiles_note = (
-                self._late_tiles_note or f"{frame.missing} did not arrive {seconds}"
-            )
+            late = f"{frame.missing} did not arrive"
         elif not frame.is_complete:
-            self._late_tiles_note = self._late_tiles_note or f"finer files did not arrive {seconds}"
+            late = "finer files did not arrive"
         elif pending_tiles := self._pending_generators:
-            self._late_tiles_note = (
-                self._late_tiles_note or f"{pending_tiles} generators did not finish {seconds}"
-            )
+            late = f"{pending_tiles} generators did not finish"
+        if late and not self._late_tiles_note:
+            self._late_tiles_note = f"{late} within {self._waits_for_tiles:g} s"
 
     @property
     def shortfall(self) -> SourceShortfall | None:
@@ -163,11 +161,10 @@ class TilesSource(Source):
                 self._pool.insert(*content, reserved_rows=reserved_count)
         has_rewritten = self._rewrite_rows(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
-        is_same_cut = (
-            self._last_session_frame is not None and self._last_session_frame.drawn == frame.drawn
-        )
-        is_same_cut = is_same_cut and not (frame.arrivals or frame.evicted or has_rewritten)
-        self._drawing_change_count += not is_same_cut
+        last = self._last_session_frame
+        is_same_cut = last is not None and last.drawn == frame.drawn
+        has_changed = frame.arrivals or frame.evicted or has_rewritten or not is_same_cut
+        self._drawing_change_count += bool(has_changed)
         self._last_session_frame = frame
         return frame
 

@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.stores.opening import address_of, open_store
+from gsgen.tiles.stores.opening import TILESET_KINDS, address_of, open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
@@ -29,6 +29,7 @@ from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules import all_rules
 
 _CONTENT_SUFFIXES: Final = (".glb", ".gltf")
+_CONTENT_KINDS: Final = ("glb", "glb-splats", "gltf", "gltf-splats")
 _NOT_DRAWN_REASON: Final = "the rules that drawing needs do not hold"
 
 
@@ -56,7 +57,8 @@ def validate(
     progress(f"reading {path.name}")
     registry = registry.of_scope(tilesets=True)
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET
-    store, index = open_store(path, allow_content=kind == TILE_CONTENT, allow_streamed=False)
+    kinds = _CONTENT_KINDS if kind == TILE_CONTENT else ()
+    store, index = open_store(path, kinds=(*TILESET_KINDS, *kinds))
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
         results = ResultCollector(registry=registry, settings=settings, kind=kind)

@@ -1,5 +1,6 @@
 """Writes SOG files, version 2: splats in lossless WebP images, zipped or beside meta.json."""
 
+import hashlib
 import json
 import math
 import zipfile
@@ -31,7 +32,7 @@ from gsgen.formats.sog.meta import (
 from gsgen.formats.sog.palette import make_palette, nearest_entries, training_step
 from gsgen.formats.sog.streamed_write import write_levels
 
-__all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
+__all__ = ["SplatParts", "sog_files", "sog_order", "write_sog", "write_sog_parts"]
 
 _MAX_SH_DEGREE: Final = 3
 _MAX_UINT16_LEVEL: Final = 65535
@@ -118,8 +119,7 @@ def write_sog_parts(path: FilePath, splats: SplatParts, *, is_sorted: bool = Fal
     ``is_sorted``, the splats keep their order.
     """
     with naming(path):
-        _require_encodable_splats(splats)
-        files = _files(splats, is_sorted=is_sorted)
+        files = sog_files(splats, is_sorted=is_sorted)
     if is_meta(path):
         for name, content in files.items():  # meta.json is the last
             with replace_file(Path(path).with_name(name) if name != META_FILE else path) as file:
@@ -157,10 +157,15 @@ class _ImageWriter:
     Attributes:
         files: The content of each image, by name.
         order: The splat of each pixel.
+
+    Args:
+        order: See above.
+        has_digests: Whether names end with the first 8 digits of the content's SHA-256.
     """
 
-    def __init__(self, order: Int64[np.ndarray, " n"]) -> None:
+    def __init__(self, order: Int64[np.ndarray, " n"], *, has_digests: bool) -> None:
         self.files: dict[str, bytes] = {}
+        self._has_digests = has_digests
         self.order = order.astype(np.uint32)  # half the memory
 
     def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
@@ -169,7 +174,14 @@ class _ImageWriter:
         for start in range(0, len(table), _CHUNK_ROWS):
             part = pixels(self.order[start : start + _CHUNK_ROWS])
             table[start : start + _CHUNK_ROWS, : part.shape[1]] = part
-        self.files[name] = encode_image(table)
+        return self.keep(name, encode_image(table))
+
+    def keep(self, name: str, content: bytes) -> str:
+        """Keep an encoded image; return the name of its file."""
+        if self._has_digests:
+            digest = hashlib.sha256(content).hexdigest()[:8]
+            name = f"{Path(name).stem}-{digest}{Path(name).suffix}"
+        self.files[name] = content
         return name
 
 
@@ -207,10 +219,24 @@ def _higher_sh_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"
         yield np.concatenate(parts)
 
 
-def _files(splats: SplatParts, *, is_sorted: bool) -> dict[str, bytes]:
-    """Return the content of each file of a SOG, meta.json last."""
+def sog_files(
+    splats: SplatParts, *, is_sorted: bool = False, has_digests: bool = False
+) -> dict[str, bytes]:
+    """Return the content of each file of a SOG by its name, meta.json last.
+
+    Args:
+        splats: Valid splats.
+        is_sorted: Whether they keep their order.
+        has_digests: Whether names of images end with the first 8 digits of their SHA-256, so that
+            caches can keep them for ever.
+
+    Raises:
+        NotSupported: As :func:`write_sog`.
+    """
+    _require_encodable_splats(splats)
     steps, low, high = _stored_positions(_concatenate_column(splats, lambda part: part.position))
-    images = _ImageWriter(np.arange(len(steps)) if is_sorted else grid_order(steps))
+    order = np.arange(len(steps)) if is_sorted else grid_order(steps)
+    images = _ImageWriter(order, has_digests=has_digests)
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED
@@ -319,8 +345,7 @@ def _add_palette(splats: SplatParts, images: _ImageWriter) -> dict[str, Any]:
     width = PALETTE_WIDTH * size
     pixels = np.full((-(-len(palette) // PALETTE_WIDTH) * width, 4), 255, np.uint8)
     pixels[: palette_codes.size // 3, :3] = palette_codes.reshape(-1, 3)
-    centroids = "shN_centroids.webp"
-    images.files[centroids] = encode_image(pixels, width)
+    centroids = images.keep("shN_centroids.webp", encode_image(pixels, width))
 
     def label_pixels(rows: Rows) -> UInt8[np.ndarray, "m 3"]:
         label = labels[rows]

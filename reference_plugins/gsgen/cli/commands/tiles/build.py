@@ -37,8 +37,13 @@ _Workers = Annotated[
     int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
 ]
 _QualityCount = Annotated[
-    int,
-    typer.Option(help="How many qualities of SPZ to write, each a tileset-qN.json.", min=1, max=3),
+    int | None,
+    typer.Option(
+        help="How many qualities of SPZ to write, each a tileset-qN.json. [default: 3]",
+        min=1,
+        max=3,
+        show_default=False,
+    ),
 ]
 _Codec = Annotated[
     Literal["spz", "khr", "sog"],
@@ -92,7 +97,7 @@ def build(
     leaf: _LeafSizeOption = 8_192,
     engine: _Engine = "processes",
     workers: _Workers = None,
-    quality: _QualityCount = 3,
+    quality: _QualityCount = None,
     codec: _Codec = "spz",
     *,
     implicit: _ImplicitOption = None,
@@ -126,8 +131,10 @@ def build(
             where="--neural",
             hint="An implicit tile cannot hold a generator.",
         )
+    if codec != "spz":
+        _refuse({"--quality": quality}, codec, "its files have one quality")
     if codec == "sog":
-        _refuse_options_of_tilesets(
+        _refuse(
             {
                 "--implicit": implicit,
                 "--transform": transform,
@@ -135,13 +142,15 @@ def build(
                 "--lat": lat,
                 "--height": height,
                 "--neural": neural,
-            }
+            },
+            codec,
+            "a streamed SOG is neither placed nor divided so",
         )
     parameters = BuildParameters(
         leaf=leaf,
         codec="spz" if codec == "sog" else codec,
         is_streamed_sog=codec == "sog",
-        qualities=_QUALITIES_BY_COUNT[quality] if codec == "spz" else (0,),
+        qualities=_QUALITIES_BY_COUNT[quality or 3] if codec == "spz" else (0,),
         implicit=False if codec == "sog" else implicit,
         transform=_tileset_transform(transform, lon, lat, height),
         turn_upright=transform is None and codec != "sog",
@@ -172,13 +181,10 @@ def build(
         echo(_report_text(report))
 
 
-def _refuse_options_of_tilesets(options: Mapping[str, object]) -> None:
+def _refuse(options: Mapping[str, object], codec: str, reason: str) -> None:
     for name, value in options.items():
         if value is not None:
-            raise ConfigInvalid(
-                "cannot be combined with --codec sog: a streamed SOG is neither placed nor divided so",
-                where=name,
-            )
+            raise ConfigInvalid(f"cannot be combined with --codec {codec}: {reason}", where=name)
 
 
 def _print_line(line: str) -> None:

@@ -46,7 +46,7 @@ def serve(
     seed: Annotated[int, typer.Option(help="Of the choice which answers fail.")] = 0,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print each answer.")] = False,
 ) -> None:
-    """Serve FOLDER until Ctrl-C, with ranges and ETags; hidden files are left out.
+    """Serve FOLDER until Ctrl-C, with ranges, ETags and JSON in gzip; hidden files are left out.
 
     Prints the address first. Exits 130 at Ctrl-C, 2 for wrong options or a port that is taken,
     4 if there is no such folder.

@@ -3,7 +3,7 @@
 import { ByteSource } from "./byte_source.js";
 import { GsgenError, failing } from "./errors.js";
 
-const IMMUTABLE = /-([0-9a-f]{8})\.glb$/; // files of tiles, with the digest of their bytes
+const IMMUTABLE = /-([0-9a-f]{8})(\.glb|\.webp|\/meta\.json)$/; // files of tiles, with the digest of their bytes
 const MOST_KEPT = 1000;
 const TRANSIENT = [408, 425, 429, 500, 502, 503, 504]; // states that another attempt may not meet
 
