@@ -1,5 +1,6 @@
 """Operators that torch's exporter does not translate, run by ONNX Runtime against torch."""
 
+import operator
 from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any
@@ -16,6 +17,18 @@ from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 EDGES = torch.tensor([[-1.0, 0.0, 0.5, 0.5, 2.0], [-2.0, -2.0, 0.0, 1.0, 3.0]])
 
 
+def exported_results(
+    module: torch.nn.Module, x: torch.Tensor, names: list[str]
+) -> list[np.ndarray]:
+    """Export a module, and return what ONNX Runtime computes of ``x``."""
+    probe = Probe(label="x", inputs={"x": x.numpy()})
+    where = type(module).__name__
+    model = trace_module(module, probe, TensorNames(("x",), tuple(names)), 18, where=where)
+    data = ir.serde.serialize_model(model).SerializeToString()
+    results: list[np.ndarray] = onnxruntime.InferenceSession(data).run(None, {"x": x.numpy()})
+    return results
+
+
 class Untranslated(torch.nn.Module):
     def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
         return (
@@ -30,11 +43,7 @@ class Untranslated(torch.nn.Module):
 def test_translations_give_what_torch_gives() -> None:
     x = torch.randn(2, 7, generator=torch.Generator().manual_seed(0))
     x[0, :5] = EDGES[0]  # values on an edge: left and right differ
-    names = TensorNames(("x",), ("left", "right", "rows", "across", "down"))
-    probe = Probe(label="x", inputs={"x": x.numpy()})
-    model = trace_module(Untranslated(), probe, names, 18, where="Untranslated")
-    data = ir.serde.serialize_model(model).SerializeToString()
-    results = onnxruntime.InferenceSession(data).run(None, {"x": x.numpy()})
+    results = exported_results(Untranslated(), x, ["left", "right", "rows", "across", "down"])
     for result, expected in zip(results, Untranslated()(x), strict=True):
         assert result.dtype == expected.numpy().dtype
         np.testing.assert_allclose(result, expected.numpy(), rtol=1e-6)
@@ -84,10 +93,7 @@ def test_reductions_give_what_torch_gives_for_all_dimensions() -> None:
     module = Reduced(list(calls.values()))
     expected = module(CUBE)
     names = [f"{name} {n}" for name, call in calls.items() for n, _ in enumerate(call(CUBE))]
-    probe = Probe(label="x", inputs={"x": CUBE.numpy()})
-    model = trace_module(module, probe, TensorNames(("x",), tuple(names)), 18, where="Reduced")
-    data = ir.serde.serialize_model(model).SerializeToString()
-    results = onnxruntime.InferenceSession(data).run(None, {"x": CUBE.numpy()})
+    results = exported_results(module, CUBE, names)
     for name, result, tensor in zip(names, results, expected, strict=True):
         assert result.shape == tuple(tensor.shape), name
         np.testing.assert_allclose(result, tensor.numpy(), rtol=1e-5, err_msg=name)
@@ -120,10 +126,65 @@ class Scattered(torch.nn.Module):
 def test_reductions_by_index_give_what_torch_gives() -> None:
     x = torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
     expected = Scattered()(x)
-    names = TensorNames(("x",), tuple(f"result_{n}" for n in range(len(expected))))
-    probe = Probe(label="x", inputs={"x": x.numpy()})
-    model = trace_module(Scattered(), probe, names, 18, where="Scattered")
-    data = ir.serde.serialize_model(model).SerializeToString()
-    results = onnxruntime.InferenceSession(data).run(None, {"x": x.numpy()})
+    results = exported_results(Scattered(), x, [f"result_{n}" for n in range(len(expected))])
     for result, tensor in zip(results, expected, strict=True):
         np.testing.assert_allclose(result, tensor.numpy(), rtol=1e-5)
+
+
+NUMBERS = torch.tensor([3.0, 1.0, 2.0, 0.0, -2.0])
+DTYPES = (*(torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8), torch.bool)
+SCALARS: tuple[float, ...] = (0, 2, 3, -1, 0.5, 2.0)
+Call = Callable[[torch.Tensor], torch.Tensor]
+
+
+def cast_call(
+    function: Callable[[Any, Any], Any], dtype: torch.dtype, numbers: Any, other: Any
+) -> Call:
+    """Return a function of numbers that an input scales, and of another operand."""
+    return lambda x: function((numbers * x).to(dtype), other)
+
+
+def binary_calls() -> Iterator[tuple[str, Call]]:
+    """Yield operators of two dtypes, of a dtype and a number, and of a number and a dtype."""
+    base, exponent = NUMBERS.abs(), torch.tensor([0.0, 2.0, 3.0, 1.0, 2.0])
+    for first, second in product(DTYPES, DTYPES):
+        yield f"{first} ** {second}", cast_call(operator.pow, first, base, exponent.to(second))
+    for dtype, number in product(DTYPES, SCALARS):
+        yield f"{dtype} ** {number!r}", cast_call(operator.pow, dtype, base + 1, number)
+        reverse = cast_call(lambda a, b: b**a, dtype, exponent, number)
+        yield f"{number!r} ** {dtype}", reverse
+    others = torch.tensor([-1.0, 2.0, float("nan"), -0.0, 0.5])
+    for name, dtype in product(("copysign", "hypot", "fmax", "fmin"), DTYPES[:2]):
+        yield f"{name} {dtype}", cast_call(getattr(torch, name), dtype, NUMBERS, others)
+
+
+class Called(torch.nn.Module):
+    """The results of several calls."""
+
+    def __init__(self, calls: list[Call]) -> None:
+        super().__init__()
+        self.calls = calls
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return tuple(call(x) for call in self.calls)
+
+
+def is_defined(call: Call) -> bool:
+    """Return whether torch computes a call."""
+    try:
+        call(torch.ones(1))
+    except (NotImplementedError, RuntimeError):
+        return False
+    return True
+
+
+def test_operators_of_two_dtypes_give_what_torch_gives() -> None:
+    calls = {name: call for name, call in binary_calls() if is_defined(call)}
+    assert len(calls) > 90
+    x = torch.ones(1)
+    module = Called(list(calls.values()))
+    results = exported_results(module, x, list(calls))
+    for name, result, tensor in zip(calls, results, module(x), strict=True):
+        expected = tensor.numpy()
+        assert result.dtype == expected.dtype, name
+        np.testing.assert_allclose(result, expected, rtol=2e-3, err_msg=name)

@@ -5,8 +5,10 @@ __all__ = ["OPERATOR_TRANSLATIONS"]
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+import onnx_ir as ir
 import torch
 from onnx import TensorProto
+from onnx_ir.tensor_adapters import from_torch_dtype, to_torch_dtype
 from onnxscript import opset18
 from onnxscript.function_libs.torch_lib.ops.linalg import aten_linalg_vector_norm
 
@@ -145,9 +147,82 @@ def _translate_index_reduce(
     return _translate_scatter_reduce(target, dim, indices, source, reduce, include_self)
 
 
+# Types of numbers that ONNX's Pow takes; others are raised as int64.
+_POWER_TYPES: Final = (
+    *(ir.DataType.FLOAT, ir.DataType.DOUBLE, ir.DataType.FLOAT16),
+    *(ir.DataType.INT32, ir.DataType.INT64),
+)
+
+
+def _promotable(number: Any) -> Any:
+    """Return a number, or for a tensor of the graph an empty one of its type and rank."""
+    if isinstance(number, int | float):
+        return number
+    size = [0] * len(number.shape)
+    return torch.empty(size, dtype=to_torch_dtype(number.dtype), device="meta")
+
+
+def _translate_power(base: Any, exponent: Any) -> Any:
+    """Translate ``pow``: ONNX gives the result the base's type, torch the type of both together."""
+    promoted = torch.result_type(_promotable(base), _promotable(exponent))
+    result_type = from_torch_dtype(promoted)
+    power_type = result_type if result_type in _POWER_TYPES else ir.DataType.INT64
+
+    def cast(number: Any) -> Any:
+        if isinstance(number, int | float):
+            number = _OPSET18.Constant(value=ir.tensor(number, power_type))
+        elif number.dtype != power_type:
+            number = _OPSET18.Cast(number, to=int(power_type))
+        return number
+
+    power = _OPSET18.Pow(cast(base), cast(exponent))
+    if power_type == result_type:
+        return power
+    return _OPSET18.Cast(power, to=int(result_type))
+
+
+def _translate_copysign(magnitude: Any, sign: Any) -> Any:
+    """Translate ``copysign`` of two tensors: the sign of -0.0 counts, which its reciprocal shows."""
+    promoted = torch.result_type(_promotable(magnitude), _promotable(sign))
+    result_type = promoted if promoted.is_floating_point else torch.get_default_dtype()
+    code = int(from_torch_dtype(result_type))
+    size, number = _OPSET18.Abs(_OPSET18.Cast(magnitude, to=code)), _OPSET18.Cast(sign, to=code)
+    zero = _OPSET18.CastLike(_OPSET18.Constant(value_float=0.0), number)
+    is_negative_zero = _OPSET18.And(
+        _OPSET18.Equal(number, zero), _OPSET18.Less(_OPSET18.Reciprocal(number), zero)
+    )
+    is_negative = _OPSET18.Or(_OPSET18.Less(number, zero), is_negative_zero)
+    return _OPSET18.Where(is_negative, _OPSET18.Neg(size), size)
+
+
+def _translate_hypot(a: Any, b: Any) -> Any:
+    """Translate ``prims.hypot`` to the root of the sum of both squares."""
+    return _OPSET18.Sqrt(_OPSET18.Add(_OPSET18.Mul(a, a), _OPSET18.Mul(b, b)))
+
+
+def _translate_number_extreme(operator: str) -> Callable[..., Any]:
+    """Return the translation of ``prims.fmax`` or ``fmin``, which take the number beside a NaN."""
+
+    def translate(a: Any, b: Any) -> Any:
+        extreme = getattr(_OPSET18, operator)(a, b)
+        if not a.dtype.is_floating_point():
+            return extreme
+        number = _OPSET18.Where(_OPSET18.IsNaN(b), a, extreme)
+        return _OPSET18.Where(_OPSET18.IsNaN(a), b, number)
+
+    return translate
+
+
 OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
     torch.ops.aten.searchsorted.Tensor: _translate_searchsorted,
     torch.ops.prims.prod.default: _translate_prod,
+    torch.ops.prims.hypot.default: _translate_hypot,
+    torch.ops.prims.fmax.default: _translate_number_extreme("Max"),
+    torch.ops.prims.fmin.default: _translate_number_extreme("Min"),
+    torch.ops.aten.copysign.Tensor: _translate_copysign,
+    torch.ops.aten.pow.Tensor_Tensor: _translate_power,
+    torch.ops.aten.pow.Tensor_Scalar: _translate_power,
+    torch.ops.aten.pow.Scalar: _translate_power,
     torch.ops.aten.amax.default: _translate_extreme("ReduceMax"),
     torch.ops.aten.amin.default: _translate_extreme("ReduceMin"),
     torch.ops.aten.argmax.default: _translate_position("ArgMax"),
