@@ -5,9 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.builders.moving import input_driven_model
+from gsgen.conformance.fixtures.builders.arrays import f32
+from gsgen.conformance.fixtures.builders.moving import (
+    SHIFT_NODE,
+    drifting_model,
+    input_driven_model,
+)
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
-from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.manifest import Bounds, CountOutput, Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validator import validate
 
@@ -92,3 +97,29 @@ def test_scenes_that_hold_or_show_nothing_keep_their_order(tmp_path: Path) -> No
     assert "numbered" not in told_of_frames(model, tmp_path)
     hidden = model.with_weights(opacity=0 * model.weights["opacity"])
     assert "opaque" not in told_of_frames(hidden, tmp_path)
+
+
+# How opacities follow the frame's number, as nodes from `time`, and whether Gaussians pop.
+WINDOWS = {"compared": ("at = Floor (many)", True), "interpolated": ("at = Mul (many, one)", False),
+           "shown one by one": ("at = Floor (many) shift = Mul (speed, at)", False)}  # fmt: skip
+
+
+@pytest.mark.parametrize(("frames", "fps"), [(30, 24.0), (31, 30.0), (30, 60.0)])
+@pytest.mark.parametrize("name", WINDOWS)
+def test_births_fade(name: str, frames: int, fps: float, tmp_path: Path) -> None:
+    """Births of half of the rows in all frames; some of them at the middle one."""
+    nodes, pops = WINDOWS[name]
+    born = np.where(np.arange(60) < 30, np.arange(60) % frames, -1)[:, None]
+    body = f"many = Mul (time, frames) {nodes} age = Sub (at, born) left = Add (age, one) "
+    body += "share = Clip (left, none, one) seen = Mul (opacity, share) "
+    body += "" if "shift" in nodes else "shift = Mul (speed, time) "
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=frames, fps=fps)
+    model = (
+        drifting_model(60)
+        .replace_text(SHIFT_NODE, body)
+        .replace_text("(moved, opacity, spread)", "(moved, seen, spread)")
+        .with_manifest(inputs=(time,), bounds=Bounds((-30, -30, -30), (30, 30, 30)))
+        .with_outputs(count=CountOutput("num_points", "upper-bound"))
+        .with_weights(born=born.astype(np.float32), frames=f32(frames), one=f32(1), none=f32(0))
+    )
+    assert ("GB073" in rules_broken_by(model, tmp_path)) is pops

@@ -429,10 +429,14 @@ def _loop_probes(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _time_step_probes(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs at pairs of instants that are one 60 Hz screen refresh apart."""
+    """Yield test inputs at pairs of instants that are one 60 Hz screen refresh apart.
+
+    The second pair has the beginning of a frame in its middle.
+    """
     if entry.frames and entry.fps:
         step = min(1.0, entry.fps / entry.frames / _REFRESH_RATE)
-        for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
+        middle = entry.frames // 2 / entry.frames
+        for start in (0.0, max(0.0, middle - step / 2), middle, 1 - step):
             if start + step <= 1:
                 yield _probe_at_fraction(entry, base, start)
                 yield _probe_at_fraction(entry, base, start + step)

@@ -1,4 +1,4 @@
-"""Rules of time (GB): declared loops close, motion has no jumps, every frame is reached."""
+"""Rules of time (GB): loops close, motion has no jumps, births fade, every frame is reached."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -27,6 +27,11 @@ _MIN_BREAK_RATIO, _MAX_CLOSING_RATIO = 4.0, 2.0
 _MIN_DRAWN_SHARE, _MAX_EMPTY_SHARE = 0.01, 0.5
 # The largest motion between two pictures, as a fraction of the bounds' diagonal.
 _MAX_POP_FRACTION = 0.1
+# The opacity of a Gaussian that is not drawn 1/60 s before or after. One that fades within a frame's
+# time has at most half of its own up to 30 frames a second, and up to 60 around a frame's beginning.
+_MIN_POP_OPACITY, _FADING_FPS, _FADING_FPS_AROUND = 0.6, 30.0, 60.0
+# Narrow windows of trained scenes may rise so fast, a few at a time: at most this share of drawn rows.
+_MAX_POPPING_SHARE = 1e-3
 
 
 def _float_outputs(run: ProbeRun) -> dict[str, np.ndarray]:
@@ -101,6 +106,46 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
                 f"{_MAX_POP_FRACTION * diagonal:.3g} at most, a tenth of the bounds' diagonal"
             )
             yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
+
+
+@rule("GB073", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GO001", "GO002", "GB069"))
+def births_fade(behaviour: Behaviour) -> Iterator[Violation]:
+    """Where outputs change within frames, Gaussians that are born or die fade, and do not pop.
+
+    Why:
+        Motion that is interpolated looks smooth; a Gaussian that is there from one picture to the
+        next flickers, and with hundreds in each frame the whole scene does.
+
+    Hint:
+        Interpolate opacities as positions are, from 0 in the frame before the birth to 0 in the one
+        after the death, instead of comparing the time with both.
+    """
+    declared, clock = behaviour.subject.declared_gaussians, _clock(behaviour)
+    runs, steps = behaviour.trial_runs("paces"), behaviour.trial_runs(STEPS)
+    within_frame = {run.digest for run in steps[: len(STEP_OFFSETS)]}
+    if declared is None or clock is None or len(within_frame) == 1:
+        return  # of frames that are shown one by one, all rows change
+    for number, (first_run, second_run) in enumerate(zip(runs[::2], runs[1::2], strict=False)):
+        if (clock.fps or 0) > (_FADING_FPS_AROUND if number == 1 else _FADING_FPS):
+            continue
+        a, b = (_float_outputs(run).get(declared.name) for run in (first_run, second_run))
+        if a is None or b is None or a.shape != b.shape:
+            continue
+        if not np.array_equal(_count(behaviour, first_run), _count(behaviour, second_run)):
+            continue  # rows behind a dropped one are those of other Gaussians
+        low, high = (part(a[:, OPACITY], b[:, OPACITY]) for part in (np.minimum, np.maximum))
+        drawn = int(np.count_nonzero(high >= CULL_OPACITY))
+        popping = (low < CULL_OPACITY) & (high > _MIN_POP_OPACITY)
+        count = int(np.count_nonzero(popping))
+        if count > _MAX_POPPING_SHARE * drawn:
+            actual = (
+                f"{count} of {drawn} drawn rows appear or disappear within 1/60 s, "
+                f"{second_run.probe.label!r}, row {int(popping.argmax())} first, whose opacity is "
+                f"{high[popping][0]:.2g} or 0"
+            )
+            expected = f"at most {_MIN_POP_OPACITY:g} beside a moment in which it is not drawn"
+            yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
+            return
 
 
 def _clock(behaviour: Behaviour) -> Input | None:
