@@ -1,13 +1,16 @@
 """A mechanical reader of hints: it does to a model what the words of a finding say, and no more.
 
-Each entry of :data:`MENDS` is a pattern of words in a finding, and the edit that they ask for.
-Findings whose words match no pattern are not read.
+It runs the commands that a hint quotes, sets and removes the manifest fields whose paths it names,
+and returns the torch line that it gives. For other words, each entry of :data:`MENDS` is a pattern
+and the edit that it asks for. Findings whose words match no pattern are not read.
 """
 
 import difflib
 import hashlib
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,7 +131,7 @@ def parent_of(draft: Draft, path: str) -> tuple[Any, Any]:
     part: Any = draft.manifest
     *keys, last = [int(key) if key.isdigit() else key for key in path.split(".")]
     for key in keys:
-        part = part[key]
+        part = part.setdefault(key, {}) if isinstance(part, dict) else part[key]
     return part, last
 
 
@@ -418,11 +421,31 @@ SPACE = {"handedness": "right", "up": "+y", "unit": "metre", "matrix_order": "co
 LICENSE = {"license": "Apache-2.0", "tool": "exporter 1.2"}
 HALF, BYTE = np.float32([0.5]), np.float32([255])
 
+
+def set_path(draft: Draft, match: re.Match[str]) -> None:
+    """Write the JSON value that follows at a path of the manifest."""
+    value, _ = json.JSONDecoder().raw_decode(match.string, match.end())
+    part, key = parent_of(draft, match["path"])
+    if isinstance(part, dict) and value is not None:
+        part[key] = value
+    else:
+        part[key : key + 1] = [value]
+
+
+def remove_path(draft: Draft, match: re.Match[str]) -> None:
+    """Remove the field at a path of the manifest."""
+    part, key = parent_of(draft, match["path"])
+    part.pop(key)
+
+
 # Words of location, message and hint, and the edit that they ask for; the first match counts.
 MENDS: tuple[tuple[str, Edit], ...] = (
+    (r"\| [^|]*\bSet (?P<path>[\w.-]+) to (?=[^|]*$)", set_path),
+    (r"\| [^|]*\b[Rr]emove (?P<path>\w+(\.[\w-]+)+)[,.][^|]*$", remove_path),
     (r"a manifest (under the key|in the metadata of the graph)", embed_found),
     (r"key '\S+' is repeated.*expected one manifest|Keep one of the two", embed_once),
-    (r"^manifest (?P<path>\S*) \| (?P<names>'.*); expected only the fields", drop_fields),
+    (r"key \S+ is repeated within an object", lambda *_: None),  # the reader has kept the last
+    (r"^manifest ?(?P<path>\S*) \| (?P<names>'.*); expected only the fields", drop_fields),
     (r"^manifest (?P<path>\S+) \| .*; expected one of (?P<words>[^|]+) \|.*Correct the field", choose_word),
     (r'expected a version such as "1.0"|expected major version 1|set "contract": "1.0"', set_field("contract", "1.0")),
     (r"no such graph (?:output|input); expected one of (?P<words>[^|]+) \|", name_tensor),
@@ -489,6 +512,21 @@ MENDS: tuple[tuple[str, Edit], ...] = (
     (r"rgb \|.*\| Use 0.5 \+ 0.28209479", on_colour("part = Mul (old, mend_sh); new = Add (part, mend_half)", mend_sh=np.float32([0.28209479]), mend_half=HALF)),
     (r"rgb \|.*\| Apply the sigmoid", on_colour("new = Sigmoid (old)")),
 )  # fmt: skip
+
+
+def run_commands(path: Path, hint: str) -> bool:
+    """Run the commands on MODEL that a hint quotes; return False if they write no COPY."""
+    commands = re.findall(r"`(gsgen [^`]*\bMODEL\b[^`]*)`", hint)
+    names = {"MODEL": path, "COPY": path.with_suffix(".copy.onnx")}
+    names |= {"MANIFEST": path.with_suffix(".json"), "FOLDER": path.parent / f"{path.stem}-files"}
+    for command in commands if any(" -o COPY" in command for command in commands) else ():
+        words, _, target = command.partition(" > ")
+        arguments = [str(names.get(word, word)) for word in words.split()[1:]]
+        call = [sys.executable, "-m", "gsgen.cli", *arguments]
+        result = subprocess.run(call, capture_output=True, check=False)
+        if target:
+            names[target].write_bytes(result.stdout)
+    return names["COPY"].exists() and bool(names["COPY"].replace(path))
 
 
 def mend(draft: Draft) -> bool:

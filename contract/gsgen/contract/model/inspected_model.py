@@ -120,15 +120,20 @@ class InspectedModel:
         return self._output(self.declared_cells)
 
     @cached_property
-    def output_names(self) -> tuple[str, ...]:
-        """The names of all outputs that the manifest declares, in the order of the manifest."""
+    def declared_outputs(self) -> tuple[tuple[str, str], ...]:
+        """The path in the manifest and the name of each declared output, in its order."""
         manifest = self.manifest
         parts = (
-            (getattr(manifest.outputs, name) for name in _output_fields(manifest))
+            [(field, getattr(manifest.outputs, field)) for field in _output_fields(manifest)]
             if manifest
-            else ()
+            else []
         )
-        return tuple(part.name for part in parts if part is not None)
+        return tuple((f"outputs.{field}", part.name) for field, part in parts if part is not None)
+
+    @cached_property
+    def output_names(self) -> tuple[str, ...]:
+        """The names of all outputs that the manifest declares, in the order of the manifest."""
+        return tuple(name for _, name in self.declared_outputs)
 
     @cached_property
     def placements(self) -> list[Placement]:

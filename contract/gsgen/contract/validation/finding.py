@@ -1,6 +1,16 @@
 """Results of checking a contract rule: violations at one location, and findings that count them."""
 
-__all__ = ["Certainty", "Distribution", "Example", "Finding", "Location", "Statistic", "Violation"]
+__all__ = [
+    "Certainty",
+    "Distribution",
+    "Example",
+    "Finding",
+    "Location",
+    "Statistic",
+    "Violation",
+    "remove_hint",
+    "set_hint",
+]
 
 import hashlib
 import json
@@ -13,6 +23,16 @@ from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.spec.severity import Severity
 
 Certainty = Literal["confirmed", "possible"]
+
+
+def set_hint(path: str, value: object) -> str:
+    """Return the hint to write a value, as JSON, at a manifest path such as ``inputs.0.range``."""
+    return f"Set {path} to {json.dumps(value)}."
+
+
+def remove_hint(path: str, alternative: str) -> str:
+    """Return the hint to remove a manifest field by its path, or to do something else."""
+    return f"Remove {path}, or {alternative}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +56,7 @@ class Statistic:
     """A number that a rule compares with limits, for a plot in the report.
 
     Attributes:
-        name: What is measured, with its unit.
+        name: The measured quantity, with its unit.
         value: The measured number.
         low: The smallest allowed value; None without such a limit.
         high: The largest allowed value; None without such a limit.

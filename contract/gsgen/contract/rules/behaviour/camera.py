@@ -14,7 +14,7 @@ from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Statistic, Violation
+from gsgen.contract.validation.finding import Statistic, Violation, set_hint
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -43,7 +43,8 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     if moved_digest == base_digest and transposed != base_digest:
         actual = f"a moved camera changes nothing, read in {order} order; transposed it does"
         name = next(iter(behaviour.subject.inputs_of("view")))[0].name
-        yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
+        hint = set_hint("space.matrix_order", "row" if order == "column" else "column")
+        yield Violation.at(f"input {name}", actual, f"the {order} order, as declared", hint=hint)
 
 
 @rule("GI008", Severity.WARNING, needs=(*REPRODUCIBLE, "GI002"))

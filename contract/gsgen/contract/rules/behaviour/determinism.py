@@ -8,15 +8,17 @@ from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, MANIFEST_KINDS
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, set_hint
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 
-def _difference_violations(comparison: Comparison, expected: str) -> Iterator[Violation]:
+def _difference_violations(
+    comparison: Comparison, expected: str, hint: str = ""
+) -> Iterator[Violation]:
     for name, largest in comparison.changed.items():
         actual = f"differs by up to {largest:.3g} at probe {comparison.first!r}"
-        yield Violation.at(f"output {name}", actual, expected)
+        yield Violation.at(f"output {name}", actual, expected, hint=hint)
 
 
 @rule("GB001", Severity.ERROR, needs=(MODEL_RUNS, *NOT_RANDOM), kinds=MANIFEST_KINDS)
@@ -126,7 +128,8 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
         is_camera_role = _is_camera_role(behaviour.subject, role)
         if changed and not is_camera_role and not _declares_dependence(behaviour, role):
             actual = f"output {next(iter(changed))} changes with it"
-            yield Violation.at(_location(role), actual, "depends_on true")
+            hint = set_hint(f"depends_on.{role.removeprefix(INPUT_PREFIX)}", True)
+            yield Violation.at(_location(role), actual, "depends_on true", hint=hint)
 
 
 @rule("GB007", Severity.ERROR, needs=REPRODUCIBLE)
@@ -142,5 +145,6 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     """
     for role, comparisons in behaviour.comparisons_by_role.items():
         if _is_camera_role(behaviour.subject, role) and not _declares_dependence(behaviour, role):
+            hint = set_hint(f"depends_on.{role}", True)
             for comparison in comparisons:
-                yield from _difference_violations(comparison, f"the same at every {role}")
+                yield from _difference_violations(comparison, f"the same at every {role}", hint)

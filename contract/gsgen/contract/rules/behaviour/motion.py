@@ -11,7 +11,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, remove_hint
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -45,6 +45,12 @@ def _count(behaviour: Behaviour, run: ProbeRun) -> np.ndarray:
     return no_count if declared is None else run.outputs.get(declared.name, no_count)
 
 
+_LOOP_MEND = (
+    "let the end of the range show what its start shows: divide by the number of frames, not by "
+    "one less, and take radians, 2 π a turn"
+)
+
+
 @rule("GB004", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"))
 def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     """If time is declared to loop, the outputs at its end continue those at its start.
@@ -59,6 +65,9 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     runs = behaviour.trial_runs("loop")
     if len(runs) < 4:
         return
+    inputs = behaviour.subject.manifest.inputs if behaviour.subject.manifest else ()
+    looping = next((index for index, entry in enumerate(inputs) if entry.loop), 0)
+    hint = remove_hint(f"inputs.{looping}.loop", _LOOP_MEND)
     start, frame_after_start, frame_before_end, end = (_float_outputs(run) for run in runs[:4])
     for name in start.keys() & frame_after_start.keys() & frame_before_end.keys() & end.keys():
         loop_jump = largest_difference(start[name], end[name])
@@ -72,7 +81,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
         if loop_jump > max_ratio * step + _ROUNDING * max_magnitude:
             actual = f"jumps by up to {loop_jump:.3g} from the end to the start"
             expected = f"the same outputs, where a frame's step before and after is {step:.3g}"
-            yield Violation.at(f"output {name}", actual, expected)
+            yield Violation.at(f"output {name}", actual, expected, hint=hint)
 
 
 @rule("GB005", Severity.INFO, needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"))

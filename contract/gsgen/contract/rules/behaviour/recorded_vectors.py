@@ -25,7 +25,7 @@ from gsgen.contract.spec.layout import APPEARANCE_CHANNELS
 from gsgen.contract.spec.manifest import TestVector, VectorRows
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import field_errors, tolerance_of
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, remove_hint, set_hint
 from gsgen.contract.validation.gates import (
     COLORED_ROW_RULES,
     FINITE_OUTPUTS,
@@ -37,6 +37,11 @@ from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
 Fault = tuple[str, str]
+
+_EXPORT_AGAIN = (
+    "export again if the change is not meant; where it is lower precision, raise the vector's "
+    "`tolerances`"
+)
 
 
 @rule("GM012", Severity.WARNING, needs=(*REPRODUCIBLE, *MANIFEST_PARSED), kinds=MANIFEST_KINDS)
@@ -57,10 +62,15 @@ def test_vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
             continue  # GM037 compares the numbers themselves
         location, result = f"manifest test_vectors.{index}", _vector_outcome(behaviour, vector)
         if isinstance(result, Violation):
-            yield replace(result, where=Location(location))
+            hint = remove_hint(f"test_vectors.{index}", "name a probe of the model")
+            yield replace(result, where=Location(location), hint=hint)
         elif result != vector.expected_sha256:
             expected = f"the declared {vector.expected_sha256}"
-            yield Violation.at(location, f"sha256 {result}", expected, certainty="possible")
+            edit = set_hint(f"test_vectors.{index}.expected_sha256", result)
+            hint = f"{edit} That is right if the model is."
+            yield Violation.at(
+                location, f"sha256 {result}", expected, certainty="possible", hint=hint
+            )
 
 
 def _vector_outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
@@ -109,15 +119,16 @@ def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:
             continue
         recorded += 1
         where = f"manifest test_vectors.{index}"
+        hint = remove_hint(f"test_vectors.{index}", _EXPORT_AGAIN)
         if recorded > MAX_RECORDED_VECTORS:
             expected = f"{MAX_RECORDED_VECTORS} at most"
-            yield Violation.at(where, f"vector {recorded} with outputs", expected)
+            yield Violation.at(where, f"vector {recorded} with outputs", expected, hint=hint)
         elif recorded_inputs(vector, probed_shapes(subject), probed_dtypes(subject)) is None:
             expected = "the numbers and the shape of each input of the model, and no others"
-            yield Violation.at(where, "its values do not fit the inputs", expected)
+            yield Violation.at(where, "its values do not fit the inputs", expected, hint=hint)
         elif (run := runs.get(recorded_label(vector, index))) is not None:
             for fault in _run_faults(subject, vector, run):
-                yield Violation.at(where, *fault)
+                yield Violation.at(where, *fault, hint=hint)
 
 
 def _run_faults(subject: InspectedModel, vector: TestVector, run: ProbeRun) -> Iterator[Fault]:

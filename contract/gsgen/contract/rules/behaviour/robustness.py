@@ -18,7 +18,7 @@ from gsgen.contract.validation.agreement import (
     field_errors,
     tolerance_of,
 )
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, set_hint
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
@@ -181,5 +181,6 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
             actual = (
                 f"{inert_count} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             )
-            yield Violation.at(f"output {count.name}", actual, "live rows first")
+            hint = set_hint("outputs.count.semantics", "upper-bound")
+            yield Violation.at(f"output {count.name}", actual, "live rows first", hint=hint)
             return

@@ -12,7 +12,7 @@ from gsgen.contract.spec.fields.roles import MANIFEST_KINDS, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import PostProcessManifest, ReferenceImage
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, remove_hint, set_hint
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -122,7 +122,11 @@ def picture_range_rises(subject: InspectedModel) -> Iterator[Violation]:
     }
     for name, (black, white) in ranges.items():
         if not black < white:
-            yield Violation.at(f"manifest {name}", str([black, white]), "black below white")
+            rising = [white, black] if white < black else [0, 1]
+            hint = set_hint(name, rising)
+            yield Violation.at(
+                f"manifest {name}", str([black, white]), "black below white", hint=hint
+            )
 
 
 @rule("GM014", Severity.WARNING, kinds=MANIFEST_KINDS)
@@ -188,13 +192,17 @@ def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
         reads files of the machine that validates the model.
 
     Hint:
-        Ship the pictures beside the model; draw them again with
-        `gsgen references MODEL -o MODEL --force` if the model has changed.
+        Ship the pictures beside the model, draw them again with
+        `gsgen references MODEL -o MODEL --force` if the model has changed, or remove them.
     """
     for index, image in enumerate(subject.generator.reference_images if subject.generator else ()):
         fault = _image_fault(subject.file.path, image)
         if fault is not None:
-            yield Violation.at(f"manifest reference_images.{index} {image.path!r}", *fault)
+            again = "draw it again with `gsgen references MODEL -o MODEL --force`, and ship it"
+            hint = remove_hint(f"reference_images.{index}", again)
+            yield Violation.at(
+                f"manifest reference_images.{index} {image.path!r}", *fault, hint=hint
+            )
 
 
 def _image_fault(model: Path, image: ReferenceImage) -> tuple[str, str] | None:

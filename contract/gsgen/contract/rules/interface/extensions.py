@@ -13,7 +13,7 @@ from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.reader_needs import READER_PROFILES, REGISTERED_EXTENSIONS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_bytes
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, remove_hint
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -32,10 +32,14 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
     """
     manifest = subject.manifest
     used_extensions = manifest.extensions_used if manifest else ()
-    for name in manifest.extensions_required if manifest else ():
+    present = set(_field_names(json.loads(subject.file.manifest_text or "{}")))
+    for index, name in enumerate(manifest.extensions_required if manifest else ()):
         if name not in used_extensions:
-            actual = f"{name} is not in extensions_used"
-            yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
+            actual, expected = f"{name} is not in extensions_used", f"{name} in both lists"
+            hint = f'Add "{name}" to extensions_used.'
+            if name not in present:
+                hint = remove_hint(f"extensions_required.{index}", f"write the field {name}")
+            yield Violation.at("manifest extensions_required", actual, expected, hint=hint)
 
 
 @rule("GM038", Severity.ERROR, kinds=MANIFEST_KINDS, needs=MANIFEST_PARSED)
@@ -80,11 +84,14 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Register the extension as the page of extensions says, or do not require it.
     """
-    for name in subject.manifest.extensions_required if subject.manifest else ():
+    extensions = subject.manifest.extensions_required if subject.manifest else ()
+    for index, name in enumerate(extensions):
         if name not in REGISTERED_EXTENSIONS:
             known = ", ".join(REGISTERED_EXTENSIONS) or "none is registered yet"
             expected = f"a registered extension ({known})"
-            yield Violation.at("manifest extensions_required", name, expected)
+            alternative = "register the extension as the page of extensions says"
+            hint = remove_hint(f"extensions_required.{index}", alternative)
+            yield Violation.at("manifest extensions_required", name, expected, hint=hint)
 
 
 @rule("GM032", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*MANIFEST_PARSED, "GG019"))
@@ -140,7 +147,11 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     for number, entry in enumerate(generator.cost):
         if entry.bytes is not None and entry.bytes < frame:
             expected = f"at least {format_bytes(frame)}, the packed rows"
-            yield Violation.at(f"manifest cost.{number}", format_bytes(entry.bytes), expected)
+            measured = "measure the peak memory of a session with `gsgen bench`, in bytes"
+            hint = remove_hint(f"cost.{number}", measured)
+            yield Violation.at(
+                f"manifest cost.{number}", format_bytes(entry.bytes), expected, hint=hint
+            )
 
 
 @rule("GM035", Severity.ERROR, kinds=MANIFEST_KINDS)

@@ -10,7 +10,7 @@ from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CONTRACT_VERSION, UPGRADE_BY_VERSION
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, remove_hint, set_hint
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -18,7 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 _BAKED_INPUT_HINT = (
     "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round "
-    "trips, `.item()`, Python branches), or remove it from the manifest."
+    "trips, `.item()`, Python branches), or remove"
 )
 
 
@@ -31,8 +31,8 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
         guess shows a wrong picture without any error. A manifest stored anywhere else is not read.
 
     Hint:
-        Derive one with `gsgen inspect MODEL --emit-manifest`, correct what it had to guess, and
-        embed it with `gsgen.contract.write_manifest`.
+        Derive one with `gsgen inspect MODEL --emit-manifest > MANIFEST`, correct what it had to
+        guess, and embed it with `gsgen fix MODEL --manifest MANIFEST -o COPY`.
     """
     if subject.parsed is None:
         misplaced_text = _misplaced_manifest(subject)
@@ -117,28 +117,31 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     manifest = subject.manifest
     if manifest is None:
         return
-    graph = subject.graph
-    inputs, outputs = [t.name for t in graph.inputs], [t.name for t in graph.outputs]
-    declared = [i.name for i in manifest.inputs]
-    are_all_declared = all(name in declared for name in inputs)
-    for name in declared:
-        if name not in inputs:
+    inputs = [(f"inputs.{index}", entry.name) for index, entry in enumerate(manifest.inputs)]
+    yield from _name_faults("input", inputs, [t.name for t in subject.graph.inputs])
+    outputs = list(subject.declared_outputs)
+    yield from _name_faults("output", outputs, [t.name for t in subject.graph.outputs])
+
+
+def _name_faults(
+    kind: str, declared: list[tuple[str, str]], known: list[str]
+) -> Iterator[Violation]:
+    """Yield the declared names (with their paths) that the graph lacks, or that are repeated."""
+    names = [name for _, name in declared]
+    free = [name for name in known if name not in names]
+    for index, (path, name) in enumerate(declared):
+        paths = [p for p, n in declared if n == name and p.endswith(f".{free[0]}")] if free else []
+        hint = set_hint(f"{[*paths, path][0]}.name", free[0]) if len(free) == 1 else ""
+        if name not in known:
+            expected = _one_of_names_text(known)
+            hint = f"{_BAKED_INPUT_HINT} {path}." if kind == "input" and not free else hint
             yield Violation.at(
-                f"manifest input {name!r}",
-                "no such graph input",
-                _one_of_names_text(inputs),
-                hint=_BAKED_INPUT_HINT if are_all_declared else "",
+                f"manifest {kind} {name!r}", f"no such graph {kind}", expected, hint=hint
             )
-    for name in subject.output_names:
-        if name not in outputs:
-            yield Violation.at(
-                f"manifest output {name!r}", "no such graph output", _one_of_names_text(outputs)
-            )
-    for names in (declared, list(subject.output_names)):
-        for name in sorted({entry for entry in names if names.count(entry) > 1}):
-            yield Violation.at(
-                f"manifest name {name!r}", "declared more than once", "one role per tensor"
-            )
+        elif name in names[:index]:
+            where, expected = f"manifest name {name!r}", "one role per tensor"
+            hint = hint or remove_hint(path, "name the tensor that is meant")
+            yield Violation.at(where, "declared more than once", expected, hint=hint)
 
 
 def _one_of_names_text(names: list[str]) -> str:

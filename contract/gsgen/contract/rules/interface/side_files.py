@@ -8,13 +8,13 @@ from gsgen.contract.model.files_beside import FileRefused, find_contained_file
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
-from gsgen.contract.spec.manifest import VectorFile
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, remove_hint
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
 _CHUNK_BYTES = 1 << 20
+_RECORD_AGAIN = "write all again with `gsgen vectors MODEL --into FOLDER -o COPY`, and ship FOLDER with the copy"
 
 
 def _digest(path: Path) -> str:
@@ -43,25 +43,22 @@ def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
         other outputs, and blames its own code.
 
     Hint:
-        Write them again with `gsgen vectors`, and ship the folder with the model.
+        Remove the vector, or write all again with `gsgen vectors MODEL --into FOLDER -o COPY`, and
+        ship the folder with the model.
     """
     manifest, model = subject.manifest, subject.file.path
     names = sorted(entry.name for entry in manifest.inputs) if manifest else []
     for number, vector in enumerate(manifest.test_vectors if manifest else ()):
         where = f"manifest test_vectors.{number}"
+        hint = remove_hint(f"test_vectors.{number}", _RECORD_AGAIN)
         if vector.files and sorted(file.input for file in vector.files) != names:
             input_names = ", ".join(file.input for file in vector.files)
-            yield Violation.at(
-                where, f"files for {input_names}", f"one for each of {', '.join(names)}"
-            )
-        yield from _check_files(where, vector.files, model)
-
-
-def _check_files(where: str, files: tuple[VectorFile, ...], model: Path) -> Iterator[Violation]:
-    for file in files:
-        fault = _side_file_fault(model, file.path, file.sha256)
-        if fault is not None:
-            yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
+            expected = f"one for each of {', '.join(names)}"
+            yield Violation.at(where, f"files for {input_names}", expected, hint=hint)
+        for file in vector.files:
+            fault = _side_file_fault(model, file.path, file.sha256)
+            if fault is not None:
+                yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1], hint=hint)
 
 
 @rule("GS005", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*MANIFEST_PARSED, "GS001"))
@@ -77,10 +74,13 @@ def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """
     subject = probe_runs.subject
     used_locations = {ref.location for ref in subject.file.external}
-    for entry in subject.manifest.external_data if subject.manifest else ():
+    for index, entry in enumerate(subject.manifest.external_data if subject.manifest else ()):
         where = f"external data {entry.path!r}"
         if entry.path not in used_locations:
-            yield Violation.at(where, "no weight lies there", "a file that the model uses")
+            hint = remove_hint(f"external_data.{index}", "name the file that the weights lie in")
+            yield Violation.at(
+                where, "no weight lies there", "a file that the model uses", hint=hint
+            )
             continue
         fault = _side_file_fault(subject.file.loading_path, entry.path, entry.sha256)
         if fault is not None:

@@ -7,7 +7,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import POST_PROCESS, STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessManifest, TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, set_hint
 from gsgen.contract.validation.rule import rule
 
 
@@ -36,7 +36,19 @@ def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
         if not _sizes_agree(input_image, tensor, declared.scale):
             times = "" if declared.scale == 1 else f"{declared.scale} times the size of "
             expected = f"{times}{input_image}, as {input_image.name} has, with 3 or 4 channels"
-            yield Violation.at(location, f"shape {tensor}", expected)
+            hint = _scale_hint(input_image, tensor)
+            yield Violation.at(location, f"shape {tensor}", expected, hint=hint)
+
+
+def _scale_hint(input_image: Tensor, output_image: Tensor) -> str:
+    """Return the hint to declare the scale of the graph; empty if it has none."""
+    sizes = (*(input_image.dims or ())[2:], *(output_image.dims or ())[2:])
+    known = [size for size in sizes if isinstance(size, int)]
+    if len(known) < 4 or not known[0] or not known[1]:
+        return ""
+    scale = known[2] // known[0]
+    is_whole = scale >= 1 and known[2:] == [scale * known[0], scale * known[1]]
+    return set_hint("outputs.image.scale", scale) if is_whole else ""
 
 
 def _image(
@@ -79,13 +91,28 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
         uncertainty_output.semantics, state
     )
     for name, expected in ((future.name, state), (uncertainty_output.name, doubt_size)):
-        yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected))
+        hint = _states_hint(graph.output(name), future.steps, state, is_future=name == future.name)
+        yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected), hint)
     for entry, tensor in subject.inputs_of("camera_history"):
         yield from _check_size(tensor, f"input {entry.name}", (None, state))
 
 
+def _states_hint(tensor: Tensor | None, steps: int, state: int, *, is_future: bool) -> str:
+    """Return the hint to declare what a predicted tensor is; empty if nothing explains it."""
+    if tensor is None or tensor.dims is None or len(tensor.dims) != 2:
+        return ""
+    rows, size = tensor.dims
+    if isinstance(rows, int) and rows != steps:
+        return set_hint("outputs.future.steps", rows)
+    if is_future:
+        names = [name for name in STATE_SIZES if STATE_SIZES[name] == size]
+        return set_hint("outputs.future.representation", names[0]) if len(names) == 1 else ""
+    meaning = "standard-deviation" if size == state else "covariance-upper"
+    return set_hint("outputs.uncertainty.semantics", meaning)
+
+
 def _check_size(
-    tensor: Tensor | None, location: str, expected: tuple[int | None, int]
+    tensor: Tensor | None, location: str, expected: tuple[int | None, int], hint: str = ""
 ) -> Iterator[Violation]:
     if tensor is None or tensor.dims is None:
         return
@@ -95,6 +122,8 @@ def _check_size(
         for dim, size in zip(tensor.dims, expected, strict=True)
     )
     if not has_fitting_shape:
-        yield Violation.at(location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes")
+        yield Violation.at(
+            location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes", hint=hint
+        )
     elif tensor.dtype not in (None, "float32"):
         yield Violation.at(location, str(tensor.dtype), "float32")

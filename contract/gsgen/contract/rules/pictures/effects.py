@@ -43,8 +43,8 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
         opacity may move as they like.
 
     Hint:
-        Compare the range and the unit of the input with those of training. If the effect is meant
-        to be that small, set "depends_on": {role: false}.
+        Compare the range and the unit of the input with those of training, and load its weights
+        before the export. If the effect is meant to be that small, ignore this rule.
     """
     subject, tolerances = behaviour.subject, effective_tolerances(behaviour.subject)
     for role in behaviour.comparisons_by_role:

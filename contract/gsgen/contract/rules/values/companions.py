@@ -10,7 +10,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Statistic, Violation
+from gsgen.contract.validation.finding import Statistic, Violation, set_hint
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -105,7 +105,15 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
         min_value, max_value = min(v.min() for v in images), max(v.max() for v in images)
         actual = f"values from {min_value:.3g} to {max_value:.3g}"
         expected = f"the declared range {[low, high]}"
-        yield Violation.at(f"output {name}", actual, expected, certainty="possible")
+        hint = _range_hint(float(min_value), float(max_value))
+        yield Violation.at(f"output {name}", actual, expected, certainty="possible", hint=hint)
+
+
+def _range_hint(low: float, high: float) -> str:
+    """Return the hint to declare the usual range that holds the values; empty if none does."""
+    usual = ([0, 1], [-1, 1], [0, 255])
+    fitting = [r for r in usual if r[0] - 0.1 <= low and 0.4 * r[1] <= high <= 1.1 * r[1]]
+    return set_hint("outputs.image.range", fitting[0]) if fitting else ""
 
 
 # The statistic is the correlation of the result with a picture that has another gradient in each

@@ -9,7 +9,7 @@ from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, set_hint
 from gsgen.contract.validation.gates import ORDERED_ROWS, PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -227,4 +227,5 @@ def bounds_fit_content(probe_runs: ProbeRuns) -> Iterator[Violation]:
     if 0 < content < np.inf and diagonal > _MAX_BOUNDS_RATIO * content:
         actual = f"a diagonal of {diagonal:.4g}, {diagonal / content:.3g} times the Gaussians'"
         expected = f"at most {_MAX_BOUNDS_RATIO:g} times their {content:.4g}"
-        yield Violation.at("manifest bounds", actual, expected)
+        corners = {"min": low.round(6).tolist(), "max": high.round(6).tolist()}
+        yield Violation.at("manifest bounds", actual, expected, hint=set_hint("bounds", corners))

@@ -102,12 +102,17 @@ _cells() {
 return self._output(self.declared_cells);
 }
 get cells() { return py.cached(this, "cells", this._cells); }
-_output_names() {
+_declared_outputs() {
   const self = this;
   let manifest, parts;
 manifest = self.manifest;
-parts = (py.bool(manifest) ? (function* () { for (const name of py.iter(_output_fields$inspected_model(manifest))) yield manifest.outputs[name]; })() : []);
-return py.list((function* () { for (const part of py.iter(parts)) if ((part != null)) yield part.name; })());
+parts = (py.bool(manifest) ? [...(function* () { for (const field of py.iter(_output_fields$inspected_model(manifest))) yield [field, manifest.outputs[field]]; })()] : []);
+return py.list((function* () { for (const [field, part] of py.iter(parts)) if ((part != null)) yield [`outputs.${py.str(field)}`, part.name]; })());
+}
+get declared_outputs() { return py.cached(this, "declared_outputs", this._declared_outputs); }
+_output_names() {
+  const self = this;
+return py.list((function* () { for (const [_, name] of py.iter(self.declared_outputs)) yield name; })());
 }
 get output_names() { return py.cached(this, "output_names", this._output_names); }
 inputs_of(role) {
@@ -384,30 +389,41 @@ yield py.violation(`manifest ${py.str(manifest_complaint.where)}`, manifest_comp
 }
 }
 function* declared_tensors_exist$manifest(subject) {
-  let are_all_declared, declared, graph, inputs, manifest, name, names, outputs;
+  let inputs, manifest, outputs;
 manifest = subject.manifest;
 if ((manifest == null)) {
 return;
 }
-graph = subject.graph;
-[inputs, outputs] = [[...(function* () { for (const t of py.iter(graph.inputs)) yield t.name; })()], [...(function* () { for (const t of py.iter(graph.outputs)) yield t.name; })()]];
-declared = [...(function* () { for (const i of py.iter(manifest.inputs)) yield i.name; })()];
-are_all_declared = py.list((function* () { for (const name of py.iter(inputs)) yield (py.contains(declared, name)); })()).every(py.bool);
-for (name of py.iter(declared)) {
-if ((!py.contains(inputs, name))) {
-yield py.violation(`manifest input ${py.str(py.repr(name))}`, "no such graph input", _one_of_names_text$manifest(inputs), undefined, undefined, (py.bool(are_all_declared) ? "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round trips, `.item()`, Python branches), or remove it from the manifest." : ""));
+inputs = [...(function* () { for (const [index, entry] of py.iter(py.list(manifest.inputs).entries())) yield [`inputs.${py.str(index)}`, entry.name]; })()];
+yield* py.iter(_name_faults$manifest("input", inputs, [...(function* () { for (const t of py.iter(subject.graph.inputs)) yield t.name; })()]));
+outputs = py.list(subject.declared_outputs);
+yield* py.iter(_name_faults$manifest("output", outputs, [...(function* () { for (const t of py.iter(subject.graph.outputs)) yield t.name; })()]));
+}
+function* _name_faults$manifest(kind, declared, known) {
+  let expected, free, hint, index, name, names, path, paths, where;
+names = [...(function* () { for (const [_, name] of py.iter(declared)) yield name; })()];
+free = [...(function* () { for (const name of py.iter(known)) if ((!py.contains(names, name))) yield name; })()];
+for ([index, [path, name]] of py.iter(py.list(declared).entries())) {
+paths = (py.bool(free) ? [...(function* () { for (const [p, n] of py.iter(declared)) if (((py.eq(n, name)) && py.bool(py.endsWith(p, `.${py.str(py.item(free, 0))}`)))) yield p; })()] : []);
+hint = ((py.eq(py.len(free), 1)) ? set_hint$finding(`${py.str(py.item([...py.iter(paths), path], 0))}.name`, py.item(free, 0)) : "");
+if ((!py.contains(known, name))) {
+expected = _one_of_names_text$manifest(known);
+hint = (((py.eq(kind, "input")) && !py.bool(free)) ? `${py.str("Exporters leave out inputs that nothing depends on: export without detaching it (numpy round trips, `.item()`, Python branches), or remove")} ${py.str(path)}.` : hint);
+yield py.violation(`manifest ${py.str(kind)} ${py.str(py.repr(name))}`, `no such graph ${py.str(kind)}`, expected, undefined, undefined, hint);
+} else {
+if ((py.contains(py.slice(names, null, index), name))) {
+[where, expected] = [`manifest name ${py.str(py.repr(name))}`, "one role per tensor"];
+hint = py.or(hint, () => remove_hint$finding(path, "name the tensor that is meant"));
+yield py.violation(where, "declared more than once", expected, undefined, undefined, hint);
 }
 }
-for (name of py.iter(subject.output_names)) {
-if ((!py.contains(outputs, name))) {
-yield py.violation(`manifest output ${py.str(py.repr(name))}`, "no such graph output", _one_of_names_text$manifest(outputs));
 }
 }
-for (names of py.iter([declared, py.list(subject.output_names)])) {
-for (name of py.iter(py.sorted(py.set((function* () { for (const entry of py.iter(names)) if ((py.compare(py.count(names, entry), 1) > 0)) yield entry; })())))) {
-yield py.violation(`manifest name ${py.str(py.repr(name))}`, "declared more than once", "one role per tensor");
+function set_hint$finding(path, value) {
+return `Set ${py.str(path)} to ${py.str(py.dumps(value))}.`;
 }
-}
+function remove_hint$finding(path, alternative) {
+return `Remove ${py.str(path)}, or ${py.str(alternative)}.`;
 }
 function _one_of_names_text$manifest(names) {
   let names_text;
@@ -624,23 +640,42 @@ yield py.violation("manifest bounds", actual, expected);
 }
 }
 function* required_extensions_used$extensions(subject) {
-  let actual, manifest, name, used_extensions;
+  let actual, expected, hint, index, manifest, name, present, used_extensions;
 manifest = subject.manifest;
 used_extensions = (py.bool(manifest) ? manifest.extensions_used : []);
-for (name of py.iter((py.bool(manifest) ? manifest.extensions_required : []))) {
+present = py.set(_field_names$extensions(py.loads(py.or(subject.file.manifest_text, () => "{}"))));
+for ([index, name] of py.iter(py.list((py.bool(manifest) ? manifest.extensions_required : [])).entries())) {
 if ((!py.contains(used_extensions, name))) {
-actual = `${py.str(name)} is not in extensions_used`;
-yield py.violation("manifest extensions_required", actual, `${py.str(name)} in both lists`);
+[actual, expected] = [`${py.str(name)} is not in extensions_used`, `${py.str(name)} in both lists`];
+hint = `Add "${py.str(name)}" to extensions_used.`;
+if ((!py.contains(present, name))) {
+hint = remove_hint$finding(`extensions_required.${py.str(index)}`, `write the field ${py.str(name)}`);
+}
+yield py.violation("manifest extensions_required", actual, expected, undefined, undefined, hint);
+}
+}
+}
+function* _field_names$extensions(value) {
+  let part;
+if (py.isinstance(value, py.dict)) {
+yield* py.iter(value);
+}
+for (part of py.iter((py.isinstance(value, py.dict) ? value.values() : value))) {
+if (py.isinstance(part, [py.dict, py.list])) {
+yield* py.iter(_field_names$extensions(part));
 }
 }
 }
 function* required_extensions_known$extensions(subject) {
-  let expected, known, name;
-for (name of py.iter((py.bool(subject.manifest) ? subject.manifest.extensions_required : []))) {
+  let alternative, expected, extensions, hint, index, known, name;
+extensions = (py.bool(subject.manifest) ? subject.manifest.extensions_required : []);
+for ([index, name] of py.iter(py.list(extensions).entries())) {
 if ((!py.contains(REGISTERED_EXTENSIONS$5, name))) {
 known = py.or(py.list(REGISTERED_EXTENSIONS$5).join(", "), () => "none is registered yet");
 expected = `a registered extension (${py.str(known)})`;
-yield py.violation("manifest extensions_required", name, expected);
+alternative = "register the extension as the page of extensions says";
+hint = remove_hint$finding(`extensions_required.${py.str(index)}`, alternative);
+yield py.violation("manifest extensions_required", name, expected, undefined, undefined, hint);
 }
 }
 }
@@ -669,7 +704,7 @@ yield py.violation("manifest operator_profile", actual, `operators of ${py.str(n
 }
 }
 function* cost_plausible$extensions(subject) {
-  let declared, entry, expected, frame, generator, number;
+  let declared, entry, expected, frame, generator, hint, measured, number;
 [generator, declared] = [subject.generator, subject.declared_gaussians];
 if (((generator == null) || (declared == null))) {
 return;
@@ -678,7 +713,9 @@ frame = ((declared.capacity * 10) * py.item(ITEMSIZE$1, declared.dtype));
 for ([number, entry] of py.iter(py.list(generator.cost).entries())) {
 if (((entry.bytes != null) && (py.compare(entry.bytes, frame) < 0))) {
 expected = `at least ${py.str(format_bytes$units(frame))}, the packed rows`;
-yield py.violation(`manifest cost.${py.str(number)}`, format_bytes$units(entry.bytes), expected);
+measured = "measure the peak memory of a session with `gsgen bench`, in bytes";
+hint = remove_hint$finding(`cost.${py.str(number)}`, measured);
+yield py.violation(`manifest cost.${py.str(number)}`, format_bytes$units(entry.bytes), expected, undefined, undefined, hint);
 }
 }
 }
@@ -725,19 +762,8 @@ yield py.violation("manifest extensions_used", name, `a field ${py.str(name)} in
 }
 }
 }
-function* _field_names$extensions(value) {
-  let part;
-if (py.isinstance(value, py.dict)) {
-yield* py.iter(value);
-}
-for (part of py.iter((py.isinstance(value, py.dict) ? value.values() : value))) {
-if (py.isinstance(part, [py.dict, py.list])) {
-yield* py.iter(_field_names$extensions(part));
-}
-}
-}
 function* picture_range_rises$declarations(subject) {
-  let black, manifest, name, ranges, white;
+  let black, hint, manifest, name, ranges, rising, white;
 manifest = subject.manifest;
 if (!py.isinstance(manifest, PostProcessManifest$manifest)) {
 return;
@@ -745,7 +771,9 @@ return;
 ranges = py.dict([["image_range", manifest.image_range], ["outputs.image.range", manifest.outputs.image.range]]);
 for ([name, [black, white]] of py.iter(ranges.entries())) {
 if (!(py.compare(black, white) < 0)) {
-yield py.violation(`manifest ${py.str(name)}`, py.str([black, white]), "black below white");
+rising = ((py.compare(white, black) < 0) ? [white, black] : [0, 1]);
+hint = set_hint$finding(name, rising);
+yield py.violation(`manifest ${py.str(name)}`, py.str([black, white]), "black below white", undefined, undefined, hint);
 }
 }
 }
@@ -1399,7 +1427,7 @@ yield py.violation(`output ${py.str(name)}`, "not declared", `only ${py.str(py.l
 }
 }
 function* image_out_as_in$companions(subject) {
-  let _, declared, expected, input_image, location, manifest, tensor, times;
+  let _, declared, expected, hint, input_image, location, manifest, tensor, times;
 manifest = subject.manifest;
 if (!py.isinstance(manifest, PostProcessManifest$manifest)) {
 return;
@@ -1417,7 +1445,8 @@ for ([_, input_image] of py.iter(subject.inputs_of("image"))) {
 if (!py.bool(_sizes_agree$companions(input_image, tensor, declared.scale))) {
 times = ((py.eq(declared.scale, 1)) ? "" : `${py.str(declared.scale)} times the size of `);
 expected = `${py.str(times)}${py.str(input_image)}, as ${py.str(input_image.name)} has, with 3 or 4 channels`;
-yield py.violation(location, `shape ${py.str(tensor)}`, expected);
+hint = _scale_hint$companions(input_image, tensor);
+yield py.violation(location, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
 }
 }
 }
@@ -1440,8 +1469,19 @@ known = py.list((function* () { for (const [k, x, y] of py.iter(sizes)) if ((py.
 channels = py.item(output_image.dims, 1);
 return py.and(known, () => py.or(!py.isinstance(channels, py.int), () => (py.contains([3, 4], channels))));
 }
+function _scale_hint$companions(input_image, output_image) {
+  let is_whole, known, scale, sizes;
+sizes = [...py.iter(py.slice(py.or(input_image.dims, () => []), 2, null)), ...py.iter(py.slice(py.or(output_image.dims, () => []), 2, null))];
+known = [...(function* () { for (const size of py.iter(sizes)) if (py.isinstance(size, py.int)) yield size; })()];
+if (((py.compare(py.len(known), 4) < 0) || !py.bool(py.item(known, 0)) || !py.bool(py.item(known, 1)))) {
+return "";
+}
+scale = (Math.floor(py.item(known, 2) / py.item(known, 0)));
+is_whole = py.and((py.compare(scale, 1) >= 0), () => (py.eq(py.slice(known, 2, null), [(scale * py.item(known, 0)), (scale * py.item(known, 1))])));
+return (py.bool(is_whole) ? set_hint$finding("outputs.image.scale", scale) : "");
+}
 function* states_as_declared$companions(subject) {
-  let doubt_size, entry, expected, future, graph, manifest, name, state, tensor, uncertainty_output;
+  let doubt_size, entry, expected, future, graph, hint, manifest, name, state, tensor, uncertainty_output;
 manifest = subject.manifest;
 if (!py.isinstance(manifest, TrajectoryManifest$manifest)) {
 return;
@@ -1450,13 +1490,30 @@ return;
 [state, graph] = [py.item(STATE_SIZES$23, future.representation), subject.graph];
 doubt_size = py.get(py.dict([["covariance-upper", (Math.floor((state * (py.plus(state, 1))) / 2))]]), uncertainty_output.semantics, state);
 for ([name, expected] of py.iter([[future.name, state], [uncertainty_output.name, doubt_size]])) {
-yield* py.iter(_check_size$companions(graph.output(name), `output ${py.str(name)}`, [future.steps, expected]));
+hint = _states_hint$companions(graph.output(name), future.steps, state, (py.eq(name, future.name)));
+yield* py.iter(_check_size$companions(graph.output(name), `output ${py.str(name)}`, [future.steps, expected], hint));
 }
 for ([entry, tensor] of py.iter(subject.inputs_of("camera_history"))) {
 yield* py.iter(_check_size$companions(tensor, `input ${py.str(entry.name)}`, [null, state]));
 }
 }
-function* _check_size$companions(tensor, location, expected) {
+function _states_hint$companions(tensor, steps, state, is_future) {
+  let meaning, names, rows, size;
+if (((tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)))) {
+return "";
+}
+[rows, size] = tensor.dims;
+if ((py.isinstance(rows, py.int) && (!py.eq(rows, steps)))) {
+return set_hint$finding("outputs.future.steps", rows);
+}
+if (py.bool(is_future)) {
+names = [...(function* () { for (const name of py.iter(STATE_SIZES$23)) if ((py.eq(py.item(STATE_SIZES$23, name), size))) yield name; })()];
+return ((py.eq(py.len(names), 1)) ? set_hint$finding("outputs.future.representation", py.item(names, 0)) : "");
+}
+meaning = ((py.eq(size, state)) ? "standard-deviation" : "covariance-upper");
+return set_hint$finding("outputs.uncertainty.semantics", meaning);
+}
+function* _check_size$companions(tensor, location, expected, hint = "") {
   let expected_shape, has_fitting_shape;
 if (((tensor == null) || (tensor.dims == null))) {
 return;
@@ -1464,7 +1521,7 @@ return;
 expected_shape = `[${py.str(((py.item(expected, 0) == null) ? "T" : py.item(expected, 0)))}, ${py.str(py.item(expected, 1))}]`;
 has_fitting_shape = py.and((py.eq(py.len(tensor.dims), 2)), () => py.list((function* () { for (const [dim, size] of py.iter(py.zip(tensor.dims, expected))) yield py.or((size == null), () => !py.isinstance(dim, py.int), () => (py.eq(dim, size))); })()).every(py.bool));
 if (!py.bool(has_fitting_shape)) {
-yield py.violation(location, `shape ${py.str(tensor)}`, `${py.str(expected_shape)}, as the manifest fixes`);
+yield py.violation(location, `shape ${py.str(tensor)}`, `${py.str(expected_shape)}, as the manifest fixes`, undefined, undefined, hint);
 } else {
 if ((!py.contains([null, "float32"], tensor.dtype))) {
 yield py.violation(location, py.str(tensor.dtype), "float32");
@@ -2293,7 +2350,7 @@ const _MANIFEST_TYPES$39 = py.dict([["gaussian-generator", GeneratorManifest$man
 const _DTYPE_NAMES$40 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
 /** @type {any} */
 export const RULES = [
-{"id": "GM001", "severity": "error", "hint": "Derive one with `gsgen inspect MODEL --emit-manifest`, correct what it had to guess, and embed it with `gsgen.contract.write_manifest`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_present$manifest},
+{"id": "GM001", "severity": "error", "hint": "Derive one with `gsgen inspect MODEL --emit-manifest > MANIFEST`, correct what it had to guess, and embed it with `gsgen fix MODEL --manifest MANIFEST -o COPY`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_present$manifest},
 {"id": "GM002", "severity": "error", "hint": "Correct the field named here; the schema is printed by `gsgen inspect --schema KIND`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_schema$manifest},
 {"id": "GM003", "severity": "error", "hint": "Update gsgen, or export the model for the contract version that your readers know.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_version$manifest},
 {"id": "GM004", "severity": "error", "hint": "Write the names as the graph has them; `gsgen inspect MODEL` lists both.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: declared_tensors_exist$manifest},
