@@ -36,7 +36,7 @@ from typing import Final, Literal
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.probing.probes import Array, Probe, as_tensor
+from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
@@ -50,10 +50,10 @@ PATH_OFFSET = (3.0, -2.0, 5.0)
 HISTORIES, TURN_AXIS, TURN_STEP = "histories", (0.0, 1.0, 0.0), 0.1
 # Suffix of the label of a path whose quaternions have the other sign.
 NEGATED_LABEL = "with quaternions negated"
-# Part of the labels of paths of constant velocity, the least length of such a path, and the
-# directions of three of them, which are orthogonal to each other.
+# Part of the labels of paths of constant velocity, the least length of such a path, also as a share
+# of the distance from the origin, and the directions of three of them, orthogonal to each other.
 STRAIGHT_PATH_LABEL = "on a straight path"
-_MIN_PATH_EXTENT = 0.1
+_MIN_PATH_EXTENT, _MIN_PATH_SHARE = 0.1, 1e-3
 _PATH_DIRECTIONS = np.array([[2.0, 1.0, -2.0], [1.0, 2.0, 2.0], [-2.0, 2.0, -1.0]]) / 3
 
 # Camera displacement, as a fraction of the distance from the origin.
@@ -179,7 +179,10 @@ def _path_probes(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
 
 def _straight_path(camera_history: Array, direction: Float[np.ndarray, " 3"]) -> Array:
     """Return a path of constant velocity without a turn that ends at the newest state of another."""
-    extent = max(float(np.ptp(camera_history[:, :3], axis=0).max(initial=0)), _MIN_PATH_EXTENT)
+    positions = camera_history[:, :3].astype(np.float64)
+    # Far from the origin, float32 tells only long steps.
+    least = max(_MIN_PATH_EXTENT, _MIN_PATH_SHARE * float(np.abs(positions).max(initial=0)))
+    extent = max(float(np.ptp(positions, axis=0).max(initial=0)), least)
     step = direction * extent / max(len(camera_history) - 1, 1)
     path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
     path[:, :3] += (np.arange(len(path))[:, None] - (len(path) - 1)) * step
@@ -404,10 +407,7 @@ def _outside_range_probes(manifest: GeneratorManifest, base: Probe) -> Iterator[
 
 
 def _array_filled_with(template: Array, value: float) -> Array:
-    if template.dtype.kind == "f":
-        limits = np.finfo(template.dtype)
-        value = min(max(value, float(limits.min)), float(limits.max))
-    return np.full_like(template, value)
+    return cast_array(np.full(template.shape, value), template.dtype.name)
 
 
 def _probe_at_fraction(entry: Input, base: Probe, range_fraction: float) -> Probe:

@@ -37,6 +37,8 @@ _PLANES = (0.01, 1000.0)
 # Sizes of pictures where the graph leaves them open: no multiple of 8, of 16, and of 64.
 _OPEN_SIZES = ((67, 93), (72, 104), (112, 80))
 _MAX_CORNERS = 8
+# The most frames that are run: more than two minutes at 30 frames per second.
+_MAX_FRAMES = 4096
 
 
 class NamedMoment(NamedTuple):
@@ -115,14 +117,18 @@ def _frame_moments(entry: Input, base: Probe) -> Iterator[Probe]:
     if entry.range is None or entry.role not in ("time", "frame_index"):
         return
     template, (low, high) = base.inputs[entry.name], entry.range
-    if entry.role == "frame_index":
-        values = [float(number) for number in range(math.ceil(low), math.floor(high) + 1)]
-        values = values[: entry.frames]
-    else:
-        values = [entry.time_of_frame(frame) for frame in range(entry.frames or 0)]
-    for frame, value in enumerate(values):
-        array = cast_array(np.full(template.shape, value), template.dtype.name)
-        number = round(value) if entry.role == "frame_index" else frame
+    is_number = entry.role == "frame_index"
+    count = entry.frames or 0
+    if is_number:
+        numbers = math.floor(high) - math.ceil(low) + 1
+        count = min(numbers, entry.frames or numbers)
+    # Of more frames than are run, every n-th is, with the first and the last.
+    tested = min(count, _MAX_FRAMES)
+    for step in range(tested):
+        frame = step * (count - 1) // max(tested - 1, 1)
+        number = math.ceil(low) + frame if is_number else frame
+        value = number if is_number else entry.time_of_frame(frame)
+        array = cast_array(np.full(template.shape, float(value)), template.dtype.name)
         yield _moment(f"frame {number}", base, {entry.name: array})
 
 

@@ -253,7 +253,10 @@ def cast_array(values: Array, dtype: str) -> Array:
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
-        values = np.clip(values, limits.min, limits.max)
+        highest = limits.max
+        if values.dtype.kind == "f" and float(highest) > highest:
+            highest = int(np.nextafter(float(highest), 0))  # 2⁶³ − 1 itself is no double
+        values = np.clip(values, limits.min, highest)
     return np.asarray(values.astype(kind))
 
 

@@ -21,6 +21,7 @@ from gsgen.contract.probing.probes import (
     Probe,
     SceneExtent,
     as_tensor,
+    cast_array,
 )
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROTATION_ROLES
 from gsgen.contract.spec.geometry import look_at
@@ -186,8 +187,5 @@ def corner_inputs(ranged_inputs: list[Input], base: Probe, number: int) -> dict[
         is_low = bits.reshape(template.shape) == 0 if counted else rng.random(template.shape) < 0.5
         first += template.size
         ends = np.where(is_low, *entry.range)
-        if template.dtype.kind == "f":
-            limits = np.finfo(template.dtype)
-            ends = np.clip(ends, limits.min, limits.max)
-        inputs[entry.name] = np.asarray(ends).astype(template.dtype)
+        inputs[entry.name] = cast_array(ends, template.dtype.name)
     return inputs

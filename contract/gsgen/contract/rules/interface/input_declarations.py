@@ -28,6 +28,10 @@ _AXIS_ANGLE = 3
 _FULL_TURN_RADIANS = 6.3
 # The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
+# Numbers of float32 from 1 to 2, and the largest numbers: of float32, and whole in JSON.
+_FLOAT32_STEPS = 2**23
+_MAX_FLOAT32 = 3.4028234663852886e38
+_MAX_WHOLE_NUMBER = 2**53
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
 _USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
@@ -54,7 +58,7 @@ def shape_of(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
 
 @rule("GI013", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared input range runs from low to high, with whole numbers for integer inputs.
+    """A declared input range runs from low to high, in numbers that the input can hold.
 
     Why:
         A slider drawn for [1, 0] runs backwards or not at all, a clip to it gives one constant, and
@@ -72,6 +76,11 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_input_location(entry), actual, "low <= high")
         elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
             yield Violation.at(_input_location(entry), actual, "whole numbers")
+        else:
+            most = _MAX_WHOLE_NUMBER if ROLES[entry.role].index else _MAX_FLOAT32
+            if max(abs(low), abs(high)) > most:
+                expected = f"numbers of the input's type, within ±{most:g}"
+                yield Violation.at(_input_location(entry), actual, expected)
 
 
 @rule(
@@ -197,20 +206,28 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
 
 @rule("GI025", Severity.ERROR, needs=("GM004", "GI013"))
 def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
-    """The range of a frame index input has at least as many numbers as there are frames.
+    """The range of a clock has a number of its own for each frame.
 
     Why:
-        A runtime steps through the whole numbers of the range. Frames beyond them are never shown,
-        and the speed of frames / fps is wrong.
+        A runtime steps through the whole numbers of a frame index. Frames beyond them are never
+        shown, and the speed of frames / fps is wrong. A time is float32: in seconds since 1970 it
+        moves by 128 s at once.
 
     Hint:
         Declare as many "frames" as the range has whole numbers or, where the model has more,
-        "range": [0, frames - 1]; the range [0, 1] belongs to a time.
+        "range": [0, frames - 1]; the range [0, 1] belongs to a time. Let times start at 0.
     """
     for entry in declared_inputs(subject):
-        if entry.role != "frame_index" or entry.range is None or entry.frames is None:
+        if entry.role not in _TIME_ROLES or entry.range is None or entry.frames is None:
             continue
-        numbers = int(entry.range[1] - entry.range[0]) + 1
+        low, high = entry.range
+        if entry.role == "frame_index":
+            numbers = int(high - low) + 1
+        elif low == high:
+            numbers = 1
+        else:
+            # At x, neighbouring numbers of float32 are at most |x| · 2⁻²³ apart.
+            numbers = int((high - low) / max(abs(low), abs(high)) * _FLOAT32_STEPS)
         if entry.frames > numbers:
             actual = f"{entry.frames} frames in the range {list(entry.range)}"
             yield Violation.at(_input_location(entry), actual, f"{numbers} distinct frames at most")

@@ -82,7 +82,7 @@ def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     )
 
 
-@rule("GI045", Severity.WARNING, needs=DECLARATION_RULES)
+@rule("GI045", Severity.WARNING, needs=(*DECLARATION_RULES, "GI025"))
 def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
     """The declared range of a float32 input contains enough float32 numbers for smooth change.
 

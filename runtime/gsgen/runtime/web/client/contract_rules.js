@@ -909,7 +909,7 @@ yield py.violation(`input ${py.str(py.item(weights, 0))}`, actual, "a weight tha
 }
 }
 function* input_range_ordered$input_declarations(subject) {
-  let actual, entry, high, low;
+  let actual, entry, expected, high, low, most;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if ((entry.range == null)) {
 continue;
@@ -921,6 +921,12 @@ yield py.violation(_input_location$input_declarations(entry), actual, "low <= hi
 } else {
 if ((py.bool(py.item(ROLES$3, entry.role).index) && !(py.bool(Number.isInteger(Number(low))) && py.bool(Number.isInteger(Number(high)))))) {
 yield py.violation(_input_location$input_declarations(entry), actual, "whole numbers");
+} else {
+most = (py.bool(py.item(ROLES$3, entry.role).index) ? 9007199254740992 : py.float(3.4028234663852886e+38));
+if ((py.compare(py.max([Math.abs(low), Math.abs(high)]), most) > 0)) {
+expected = `numbers of the input's type, within ±${py.format(most, `g`)}`;
+yield py.violation(_input_location$input_declarations(entry), actual, expected);
+}
 }
 }
 }
@@ -1067,12 +1073,21 @@ yield py.violation(_input_location$input_declarations(entry), actual, "radians, 
 }
 }
 function* frames_fit_range$input_declarations(subject) {
-  let actual, entry, numbers;
+  let actual, entry, high, low, numbers;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
-if (((!py.eq(entry.role, "frame_index")) || (entry.range == null) || (entry.frames == null))) {
+if (((!py.contains(_TIME_ROLES$14, entry.role)) || (entry.range == null) || (entry.frames == null))) {
 continue;
 }
-numbers = (py.plus(py.int((py.minus(py.item(entry.range, 1), py.item(entry.range, 0)))), 1));
+[low, high] = entry.range;
+if ((py.eq(entry.role, "frame_index"))) {
+numbers = (py.plus(py.int((py.minus(high, low))), 1));
+} else {
+if ((py.eq(low, high))) {
+numbers = 1;
+} else {
+numbers = py.int((((py.minus(high, low)) / py.max([Math.abs(low), Math.abs(high)])) * 8388608));
+}
+}
 if ((py.compare(entry.frames, numbers) > 0)) {
 actual = `${py.str(entry.frames)} frames in the range ${py.str(py.list(entry.range))}`;
 yield py.violation(_input_location$input_declarations(entry), actual, `${py.str(numbers)} distinct frames at most`);
@@ -2388,7 +2403,7 @@ export const RULES = [
 {"id": "GI016", "severity": "warning", "hint": "Declare \"default\": a number, a list, \"zeros\" or \"identity\".", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004"], check: input_has_a_start$input_declarations},
 {"id": "GI017", "severity": "error", "hint": "Declare loop, frames and fps for the roles time and frame_index alone, and the rate that the scene was recorded at; leave fps out if it is unknown.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004"], check: timing_belongs_to_time$input_declarations},
 {"id": "GI018", "severity": "error", "hint": "Divide degrees by 180 and multiply by π, in the range and in what is fed.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: angles_are_radians$input_declarations},
-{"id": "GI025", "severity": "error", "hint": "Declare as many \"frames\" as the range has whole numbers or, where the model has more, \"range\": [0, frames - 1]; the range [0, 1] belongs to a time.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI013"], check: frames_fit_range$input_declarations},
+{"id": "GI025", "severity": "error", "hint": "Declare as many \"frames\" as the range has whole numbers or, where the model has more, \"range\": [0, frames - 1]; the range [0, 1] belongs to a time. Let times start at 0.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI013"], check: frames_fit_range$input_declarations},
 {"id": "GI030", "severity": "error", "hint": "List one joint for each row, in the order of the rows, parents first.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI005"], check: joints_fit_pose$avatar_inputs},
 {"id": "GI031", "severity": "error", "hint": "Divide by 100 in the model, and declare \"range\": [0, 1].", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: blend_weights_in_unit_range$avatar_inputs},
 {"id": "GI032", "severity": "error", "hint": "Declare \"rate\" in samples per second; for mel also \"window\" and \"hop\", in samples.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004", "GI015"], check: sound_described$avatar_inputs},
