@@ -288,8 +288,9 @@ const isInteger = (m, input) => m.graph.inputs.get(input.name).dtype === DTYPE.i
 rule('GI013', 'error', {kinds: ALL, needs: ['GM004']}, (m) => inputs(m, (input) => { // M20.1
   if (!input.range) return undefined;
   if (!(input.range[0] <= input.range[1])) return `${input.name}: [${input.range}]`;
-  const whole = !isInteger(m, input) || input.range.every(Number.isInteger);
-  return whole ? undefined : `${input.name}: [${input.range}] of integers`;
+  if (isInteger(m, input) && !input.range.every(Number.isInteger)) return `${input.name}: [${input.range}] of integers`;
+  const most = isInteger(m, input) ? 2 ** 53 : 3.4028234663852886e38;
+  return input.range.every((end) => Math.abs(end) <= most) ? undefined : `${input.name}: [${input.range}] beyond its type`;
 }));
 
 const CONVENTIONS = { // R11 to R20, R28 to R31
@@ -341,8 +342,12 @@ rule('GI018', 'error', {kinds: ALL, needs: ['GM004', 'GI015']}, (m) => inputs(m,
   const far = vector && input.range?.some((end) => Math.abs(end) > 2 * Math.PI + 1e-6);
   return far ? `${input.name}: [${input.range}]` : undefined;
 }));
-rule('GI025', 'error', {needs: ['GM004', 'GI013']}, (m) => inputs(m, ({role, range, frames}) => // R9.3
-  (role === 'frame_index' && range && frames > range[1] - range[0] + 1 ? `${frames} frames` : undefined)));
+rule('GI025', 'error', {needs: ['GM004', 'GI013']}, (m) => inputs(m, ({role, range, frames}) => { // R9.3, M25
+  if (!range || !(frames > 1)) return undefined;
+  const step = (range[1] - range[0]) / frames;
+  const same = role === 'time' && !(step > 0 && step >= 2 ** -23 * Math.max(...range.map(Math.abs)));
+  return same || (role === 'frame_index' && frames > range[1] - range[0] + 1) ? `${frames} frames` : undefined;
+}));
 rule('GI030', 'error', {needs: ['GM004', 'GI005']}, (m) => inputs(m, (input) => { // M26.1
   const joints = input.joints ?? [];
   if (!joints.length) return undefined;
@@ -394,7 +399,7 @@ rule('GI036', 'warning', {needs: ['GI006', 'GI034', 'GG019']}, (m) => { // M32
   });
   return alone ? undefined : 'no operator works on the scene alone';
 });
-rule('GI045', 'warning', {needs: ['GM004']}, (m) => inputs(m, (input) => { // M20.4
+rule('GI045', 'warning', {needs: ['GM004', 'GI025']}, (m) => inputs(m, (input) => { // M20.4
   if (!input.range || m.graph.inputs.get(input.name).dtype !== DTYPE.float32) return undefined;
   const order = (value) => { // float32 numbers in their order, as integers
     const bits = new Int32Array(Float32Array.of(value).buffer)[0];
