@@ -1,6 +1,10 @@
 """`tiles build --codec sog`: one set of files, whatever divides the work, with errors by leaf."""
 
 import json
+import math
+import multiprocessing
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -65,6 +69,42 @@ def test_no_byte_depends_on_the_division_of_the_work(
     build([scene], tmp_path / "whole")
     assert not list((tmp_path / "whole").glob("*_*"))
     assert not (tmp_path / "whole" / "lod-meta.json").exists()
+
+
+class Killer(SilentProgress):
+    """Ends the process like a fault of the machine, once so many tasks have been counted."""
+
+    def __init__(self, tasks: float) -> None:
+        self.tasks = tasks
+
+    def advance(self, splats: int) -> None:
+        self.tasks -= 1
+        if self.tasks <= 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a child with the small units is killed")
+def test_a_build_that_was_killed_three_times_gives_the_same_bytes(
+    scene: Path, town: Path, tmp_path: Path
+) -> None:
+    def build_until(tasks: float) -> None:
+        with open_engine("serial", 1) as engine:
+            building.build_tileset(
+                [scene], tmp_path / "sog", STREAMED, engine=engine, progress=Killer(tasks),
+                chunk_bytes=1 << 17, partition=1500,
+            )  # fmt: skip
+
+    counts = []
+    for tasks in (2, 5, 7, math.inf):
+        child = multiprocessing.get_context("fork").Process(target=build_until, args=(tasks,))
+        child.start()
+        child.join()
+        is_killed = child.exitcode == -signal.SIGKILL
+        assert is_killed is (tasks < math.inf)
+        assert (tmp_path / "sog" / "lod-meta.json").exists() is not is_killed
+        counts.append(len(list((tmp_path / "sog").glob("0_*"))))
+    assert counts == sorted(set(counts)), counts  # nothing, parts, and all
+    assert digests(tmp_path / "sog") == digests(town)
 
 
 def test_every_splat_is_in_one_leaf_at_each_level(town: Path) -> None:
