@@ -22,7 +22,8 @@ from gsgen.formats import read_ply
 from gsgen.formats.shared.origins import join_splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import place_content, read_tile_content
+from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.selection.cut import cut_tree
@@ -81,13 +82,18 @@ def bytes_to_ssim(index: Path, references: list[np.ndarray], renderer: Renderer)
     """Return the bytes with which each camera's picture has the wanted SSIM."""
     store, name = open_store(index)
     tileset = load_tileset(store, name)
-    tree = TileTree.of_tileset(tileset, store)
+    tree, sog_files = TileTree.of_tileset(tileset, store), SogFiles()
 
     @cache
     def splats(row: int) -> list:
-        tile = tree.tiles[row]
-        parts = (read_tile_content(store, tileset, tile, entry) for entry in tile.contents)
-        return [placed.relative_to_origin(np.zeros(3)) for part in parts for placed in part]
+        tile, parts = tree.tiles[row], []
+        for entry in tile.contents:
+            if entry.rows is None:
+                parts += read_tile_content(store, tileset, tile, entry)
+                continue
+            rows = sog_files.read(entry, lambda file, limit: store.read(file, limit=limit))
+            parts += place_content(tileset, tile, entry, rows)
+        return [placed.relative_to_origin(np.zeros(3)) for placed in parts]
 
     sizes = []
     for eye, target, reference in zip(EYES, TARGETS, references, strict=True):
