@@ -1,6 +1,6 @@
 """Renders an eager module's output at an export, as reference images of the exported model.
 
-They are drawn from torch's own outputs, so that level ``render`` sees whatever later changes the
+They are drawn from torch's own outputs, so that level ``render`` sees what later changes the
 picture: a tool that rewrites the file, swapped channels, a mirrored axis, other signs of SH.
 """
 

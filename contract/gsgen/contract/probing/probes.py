@@ -255,7 +255,7 @@ def cast_array(values: Array, dtype: str) -> Array:
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
         highest = limits.max
         if values.dtype.kind == "f" and float(highest) > highest:
-            highest = int(np.nextafter(float(highest), 0))  # 2⁶³ − 1 itself is no double
+            highest = int(np.nextafter(float(highest), 0))  # the double beside 2⁶³ − 1 is 2⁶³
         values = np.clip(values, limits.min, highest)
     return np.asarray(values.astype(kind))
 

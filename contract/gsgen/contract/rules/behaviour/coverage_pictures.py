@@ -12,7 +12,7 @@ from gsgen.contract.spec.geometry import look_at, perspective, symmetric
 from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION
 from gsgen.contract.spec.manifest import GeneratorManifest
 
-# Pixels along each side of a picture; its corners are those of the view, whatever its shape.
+# Pixels along each side of a picture; its corners are those of the view, in any shape.
 _SIDE = 24
 # Splats are widened by this variance, in pixels², so that none falls between pixels.
 _BLUR = 0.3
