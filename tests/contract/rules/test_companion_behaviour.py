@@ -218,12 +218,15 @@ PATH_FAULTS = {
     "axis y damped": predictor(ON, ON, np.diag([1.0, 0.4, 1.0])),
     "speed per step times seconds": predictor(from_speed(0.1), ON),
     "turn negated": predictor(ON, from_speed(-1.0)),
+    "half the speed": predictor(from_speed(0.5), ON),
+    "half the turn": predictor(ON, from_speed(0.5)),
+    "stays": predictor(from_speed(0.0), from_speed(0.0)),
+    "two steps at once": predictor(from_speed(2.0), ON),
     "rotations read backwards": predictor(ON, ON[:, ::-1]),
 }
 RIGHT_PATHS = {
     "goes on": predictor(ON, ON),
-    "slows down": predictor(from_speed(0.5), from_speed(0.5)),
-    "stays": predictor(from_speed(0.0), from_speed(0.0)),
+    "slows down a little": predictor(from_speed(0.9), from_speed(0.9)),
     "mean speed": predictor(
         weights_of_states(*[(-k / 3, 0.0, 0.0, 1 + k / 3) for k in (1, 2, 3)]), ON
     ),
@@ -234,7 +237,7 @@ RIGHT_PATHS = {
         lambda fields: fields.update(space={"up": "+y"})
     ),
     "speed mixed a little": predictor(
-        from_speed(0.8), ON, np.eye(3) + np.random.default_rng(2).normal(0, 0.1, (3, 3))
+        from_speed(0.95), ON, np.eye(3) + np.random.default_rng(2).normal(0, 0.05, (3, 3))
     ),
 }
 

@@ -1,14 +1,22 @@
 """Rules of trajectory predictors look at every run, and skip those without outputs."""
 
+from collections.abc import Callable
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gsgen.conformance.fixtures.valid.companions import trajectory
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.rules.behaviour.trajectory import predicted_quaternions_unit, prediction_finite
+from gsgen.contract.rules.behaviour.trajectory import (
+    covariance_fault,
+    fault_of_steady_path,
+    predicted_quaternions_unit,
+    prediction_finite,
+)
 
 
 def runs_of(futures: list[np.ndarray | None]) -> ProbeRuns:
@@ -41,3 +49,79 @@ def test_one_wrong_run_is_found_wherever_it_is(wrong: int) -> None:
     futures[wrong] = np.where(double == 2, np.float32(np.nan), double)
     (violation,) = prediction_finite.check(runs_of(futures))
     assert f"'run {wrong}'" in str(violation.actual)
+
+
+def steady_path(
+    random: np.random.Generator, count: int, *, turning: bool, vectors: bool
+) -> np.ndarray:
+    """Return states of constant speed, as SciPy turns them: [count, 7], or [count, 6] of vectors."""
+    steps = np.arange(count)[:, None]
+    positions = random.normal(size=3) + steps * random.normal(size=3) * (not turning)
+    turn = random.normal(size=3)
+    turn *= 0.2 * turning / np.linalg.norm(turn)
+    rotations = Rotation.from_rotvec(steps * turn) * Rotation.random(rng=random)
+    if vectors:
+        return np.hstack([positions, rotations.as_rotvec()])
+    quaternions = rotations.as_quat()[:, [3, 0, 1, 2]]
+    for earlier, later in pairwise(quaternions):
+        later *= 1 if earlier @ later >= 0 else -1
+    return np.hstack([positions, quaternions])
+
+
+def slowed(states: np.ndarray) -> np.ndarray:
+    return np.asarray(states[:1] + 0.5 * (states - states[:1]))
+
+
+# What a predictor does to the right states, of which the first is the newest of the history.
+STEADY_FAULTS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "farthest first": (lambda states: states[:0:-1], "farthest first"),
+    "slowed": (lambda states: slowed(states)[1:], "of the speed"),
+    "late": (lambda states: states[:-1], "predicted state 1"),
+    "early": (lambda states: states[[2, 3, 3]], "predicted state 1"),
+    "one repeated": (lambda states: states[[1, 2, 2]], "predicted state 3"),
+}
+
+
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("vectors", [False, True])
+def test_steady_paths_go_on_and_faults_are_named(turning: bool, vectors: bool) -> None:
+    for seed in range(20):
+        states = steady_path(np.random.default_rng(seed), 7, turning=turning, vectors=vectors)
+        history, future = states[:4], states[4:]
+        assert not fault_of_steady_path(history, future, turning=turning)
+        for name, (fault, words) in STEADY_FAULTS.items():
+            if turning and name == "slowed":
+                continue
+            wrong = fault(states[3:])
+            assert words in fault_of_steady_path(history, wrong, turning=turning), (seed, name)
+        drifting = future.copy()
+        drifting[-1, 0 if turning else 3] += 0.05
+        assert "too, by 0.05" in fault_of_steady_path(history, drifting, turning=turning)
+        if turning and not vectors:
+            last = future[:, [0, 1, 2, 4, 5, 6, 3]]
+            assert "order x y z w" in fault_of_steady_path(history, last, turning=True)
+
+
+def test_motion_along_the_vertical_may_be_damped() -> None:
+    history = np.zeros((4, 7))
+    history[:, 3], history[:, :3] = 1, np.arange(4)[:, None] * [1.0, 2.0, 0.5]
+    future = np.repeat(history[-1:], 3, 0)
+    future[:, :3] += np.arange(1, 4)[:, None] * [1.0, 0.5, 0.5]
+    assert fault_of_steady_path(history, future, turning=False)
+    assert not fault_of_steady_path(history, future, turning=False, vertical=1)
+
+
+@pytest.mark.parametrize("size", [6, 7])
+def test_covariances_are_read_as_upper_triangles(size: int) -> None:
+    random = np.random.default_rng(size)
+    factors = random.normal(size=(5, size, size))
+    matrices = factors @ factors.transpose(0, 2, 1)
+    rows, columns = np.triu_indices(size)
+    assert not covariance_fault(matrices[:, rows, columns], size)
+    lower = matrices[(slice(None), *np.tril_indices(size))]
+    assert "read as the lower triangle" in covariance_fault(lower, size)
+    matrices[3] -= 1.01 * np.linalg.eigvalsh(matrices[3]).min() * np.eye(size)
+    matrices[3] -= 0.2 * np.outer(*[np.linalg.eigh(matrices[3])[1][:, 0]] * 2)
+    assert "row 3 has the eigenvalue -" in covariance_fault(matrices[:, rows, columns], size)
+    matrices[1, 0, 0] = 0.0
+    assert "row 1 has the variance 0" in covariance_fault(matrices[:, rows, columns], size)

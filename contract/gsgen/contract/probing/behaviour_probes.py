@@ -16,12 +16,11 @@ __all__ = [
     "REPEATED_LABEL",
     "ROOT_LABEL",
     "SINGLE_JOINT_ANGLE",
+    "STEADY_TURN_LABEL",
     "STEPS",
     "STEP_OFFSETS",
     "STRAIGHT_PATH_LABEL",
     "TILTED_LABEL",
-    "TURN_AXIS",
-    "TURN_STEP",
     "ZERO_LABEL",
     "joints_of_label",
     "trial_probes",
@@ -36,7 +35,14 @@ from typing import Final, Literal
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array
+from gsgen.contract.probing.probes import (
+    Array,
+    Probe,
+    as_tensor,
+    cast_array,
+    straight_path,
+    turning_path,
+)
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, PICTURE_ROLES, ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
@@ -46,14 +52,17 @@ REPEATED_LABEL = "once more"
 
 # Displacement of a camera path, in world units.
 PATH_OFFSET = (3.0, -2.0, 5.0)
-# Name of the group of turning paths; the axis and the angle, in radians, of each step of theirs.
-HISTORIES, TURN_AXIS, TURN_STEP = "histories", (0.0, 1.0, 0.0), 0.1
+# Name of the group of paths that turn through half a turn.
+HISTORIES = "histories"
 # Suffix of the label of a path whose quaternions have the other sign.
 NEGATED_LABEL = "with quaternions negated"
-# Part of the labels of paths of constant velocity, the least length of such a path, also as a share
-# of the distance from the origin, and the directions of three of them, orthogonal to each other.
+# Part of the labels of paths of constant velocity, and the
+# directions of three of them, which are orthogonal to each other.
 STRAIGHT_PATH_LABEL = "on a straight path"
-_MIN_PATH_EXTENT, _MIN_PATH_SHARE = 0.1, 1e-3
+# Multiples of a path's speed at which it is run again.
+_PATH_SPEEDS = (0.1, 8.0)
+# Part of the labels of paths that turn, and the angle of each step of theirs, in radians.
+STEADY_TURN_LABEL, _PATH_TURN = "on a steady turn", 0.2
 _PATH_DIRECTIONS = np.array([[2.0, 1.0, -2.0], [1.0, 2.0, 2.0], [-2.0, 2.0, -1.0]]) / 3
 
 # Camera displacement, as a fraction of the distance from the origin.
@@ -170,23 +179,18 @@ def _path_probes(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
             base, "at rest", **{entry.name: np.repeat(camera_history[-1:], len(camera_history), 0)}
         )
         for number, direction in enumerate(_PATH_DIRECTIONS):
-            path = _straight_path(camera_history, direction)
+            path = straight_path(camera_history, direction)
             yield _changed_probe(base, f"{STRAIGHT_PATH_LABEL} {number}", **{entry.name: path})
+        for speed in _PATH_SPEEDS:
+            path = straight_path(camera_history, _PATH_DIRECTIONS[0], speed, entry.range)
+            label = f"{STRAIGHT_PATH_LABEL} at {speed:g} of the speed"
+            yield _changed_probe(base, label, **{entry.name: path})
+        for number, axis in enumerate(_PATH_DIRECTIONS):
+            path = turning_path(camera_history, axis * _PATH_TURN)
+            yield _changed_probe(base, f"{STEADY_TURN_LABEL} {number}", **{entry.name: path})
         if quaternions:
             negated_history[:, 3:] *= -1
             yield _changed_probe(base, NEGATED_LABEL, **{entry.name: negated_history})
-
-
-def _straight_path(camera_history: Array, direction: Float[np.ndarray, " 3"]) -> Array:
-    """Return a path of constant velocity without a turn that ends at the newest state of another."""
-    positions = camera_history[:, :3].astype(np.float64)
-    # Far from the origin, float32 tells only long steps.
-    least = max(_MIN_PATH_EXTENT, _MIN_PATH_SHARE * float(np.abs(positions).max(initial=0)))
-    extent = max(float(np.ptp(positions, axis=0).max(initial=0)), least)
-    step = direction * extent / max(len(camera_history) - 1, 1)
-    path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
-    path[:, :3] += (np.arange(len(path))[:, None] - (len(path) - 1)) * step
-    return path
 
 
 def _inputs_of_role(manifest: Manifest, role: str) -> list[Input]:

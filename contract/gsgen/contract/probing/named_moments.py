@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import HISTORIES, TURN_AXIS, TURN_STEP
+from gsgen.contract.probing.behaviour_probes import HISTORIES
 from gsgen.contract.probing.picture_probes import synthetic_pictures, test_patterns
-from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array
+from gsgen.contract.probing.probes import Array, Probe, as_tensor, cast_array, turning_path
 from gsgen.contract.probing.survey_probes import corner_inputs, ranged_inputs_of, survey_probes
 from gsgen.contract.spec.fields.roles import CAMERA_ROLES, MATRIX_ROLES, PICTURE_ROLES, STATE_SIZES
 from gsgen.contract.spec.geometry import perspective
@@ -39,6 +39,8 @@ _OPEN_SIZES = ((67, 93), (72, 104), (112, 80))
 _MAX_CORNERS = 8
 # The most frames that are run: more than two minutes at 30 frames per second.
 _MAX_FRAMES = 4096
+# The angle of each step of a path that turns, in radians.
+_TURN_STEP = 0.1
 
 
 class NamedMoment(NamedTuple):
@@ -215,19 +217,13 @@ def _corner_moments(manifest: PostProcessManifest, base: Probe) -> Iterator[Prob
 
 
 def _history_moments(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
-    """Yield paths whose quaternions pass through w = 0, and end below it."""
-    if manifest.outputs.future.representation != "position+quaternion-wxyz":
-        return
+    """Yield paths that turn about y and pass through half a turn, where w = 0, or go beyond it."""
+    state = STATE_SIZES[manifest.outputs.future.representation]
     for entry in manifest.inputs:
         history = base.inputs[entry.name]
-        if entry.role != "camera_history" or history.shape[1:] != (
-            STATE_SIZES["position+quaternion-wxyz"],
-        ):
+        if entry.role != "camera_history" or history.shape[1:] != (state,):
             continue
-        # A turn about y, which is half a turn at the end, or just before it.
-        for words, steps_beyond in (("at half a turn", 0.0), ("beyond half a turn", 1.0)):
-            steps = np.arange(len(history)) - (len(history) - 1) + steps_beyond
-            half_angle = (np.pi + TURN_STEP * steps)[:, None] / 2
-            path = history.copy()
-            path[:, 3:] = np.hstack([np.cos(half_angle), np.sin(half_angle) * TURN_AXIS])
+        for words, angle in (("at half a turn", np.pi), ("beyond half a turn", np.pi + _TURN_STEP)):
+            newest = np.array([np.cos(angle / 2), 0, np.sin(angle / 2), 0])
+            path = turning_path(history, np.array([0, _TURN_STEP, 0]), newest)
             yield _moment(f"a path that turns {words}", base, {entry.name: path}, survey=False)

@@ -16,6 +16,8 @@ __all__ = [
     "cast_array",
     "default_probes",
     "dependency_probes",
+    "straight_path",
+    "turning_path",
 ]
 
 from collections.abc import Iterator
@@ -25,7 +27,13 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.spec.fields.roles import PICTURE_ROLES, ROLES, STATE_SIZES
-from gsgen.contract.spec.geometry import look_at, perspective
+from gsgen.contract.spec.geometry import (
+    look_at,
+    perspective,
+    quaternion_product,
+    quaternions_of,
+    rotation_vectors,
+)
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
 
 Array = np.ndarray
@@ -42,6 +50,9 @@ _NEAR_PLANE_DISTANCE, _FAR_PLANE_DISTANCE = 0.01, 1000.0
 _MAX_COORDINATE = 1e18
 # Distance of probe cameras from the centre, in half diagonals of the bounds.
 ORBIT_RADII = 2.2
+# The least extent of a camera path that is made, also as a share of the distance from the origin, and
+# the share of a declared range that it crosses where it would leave it.
+_MIN_PATH_EXTENT, _MIN_PATH_SHARE, _RANGE_SHARE = 0.1, 1e-3, 0.75
 _UP_AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -241,6 +252,56 @@ def _random_camera_history(
         return np.hstack([position, first / 2 + steps * last / (8 * count)])
     rotation = first / np.linalg.norm(first) + steps * last / (8 * count)
     return np.hstack([position, rotation / np.linalg.norm(rotation, axis=1, keepdims=True)])
+
+
+def straight_path(
+    camera_history: Array,
+    direction: Float[np.ndarray, " 3"],
+    speed: float = 1.0,
+    span: tuple[float, float] | None = None,
+) -> Array:
+    """Return a path of constant velocity without a turn, which ends at another's newest state.
+
+    Args:
+        camera_history: The other path, whose extent it has.
+        direction: Of the motion, of length 1.
+        speed: The extent is multiplied by it.
+        span: The declared range of positions, in whose middle a path lies that would leave it.
+    """
+    positions = camera_history[:, :3].astype(np.float64)
+    # Far from the origin, float32 tells only long steps.
+    least = max(_MIN_PATH_EXTENT, _MIN_PATH_SHARE * float(np.abs(positions).max(initial=0)))
+    extent = speed * max(float(np.ptp(positions, axis=0).max(initial=0)), least)
+    path, ahead = np.repeat(camera_history[-1:], len(camera_history), axis=0), 0.0
+    if span is not None and extent > (widest := _RANGE_SHARE * (span[1] - span[0])):
+        path[:, :3], ahead, extent = sum(span) / 2, 0.5, widest
+    steps = np.linspace(-1, 0, len(path)) + ahead
+    path[:, :3] += steps[:, None] * direction * extent
+    return path
+
+
+def turning_path(
+    camera_history: Array,
+    turn: Float[np.ndarray, " 3"],
+    start: Float[np.ndarray, " 4"] | None = None,
+) -> Array:
+    """Return a path that rests at another's newest place and turns by the same angle each step.
+
+    Args:
+        camera_history: The other path, [T, 7] or [T, 6].
+        turn: Axis times angle of a step, in radians.
+        start: The newest rotation as a quaternion (w, x, y, z); that of the other path if absent.
+    """
+    path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
+    has_vectors = path.shape[1] == STATE_SIZES["position+axis-angle"]
+    if start is None:
+        start = quaternions_of(path[-1:, 3:])[0] if has_vectors else path[-1, 3:]
+    # By the angle from the newest state back, so that the sign continues over a whole circle.
+    steps = np.arange(len(path))[:, None] - (len(path) - 1)
+    turns = quaternions_of(steps * turn)
+    rotations = np.stack([quaternion_product(step, start[None])[0] for step in turns])
+    path[:, 3:] = rotation_vectors(rotations) if has_vectors else rotations
+    return path
 
 
 def _interpolate(low: float, high: float, range_fraction: Array) -> Array:

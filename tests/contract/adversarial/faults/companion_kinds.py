@@ -61,6 +61,7 @@ STATES: list[tuple[str, str, dict[str, Any], Sentence | None, str]] = [
     ("path_covariance_declared_as_deviation", "Declares an upper triangle as standard deviations.", {"sigma_columns": 28}, Sentence("manifest.md", "`standard-deviation` is [steps, S], one number for each of the state's."), r"uncertainty|sigma|shape|columns|28"),
     ("path_representation_unknown", "Declares the rotation as Euler angles.", {"representation": "position+euler"}, Sentence("manifest.md", '| `representation` | one of `"position+quaternion-wxyz"`, `"position+axis-angle"` |'), r"representation"),
     ("path_quaternions_not_normalised", "Extrapolates quaternions and does not normalise them.", {"normalise": False}, None, r"quaternion|normalis|normaliz|unit|length"),
+    ("path_of_vectors_extrapolated", "Extrapolates rotation vectors as if they were places.", {"state": 6, "representation": "position+axis-angle"}, Sentence("manifest.md", "Axis-angle vectors must have a length of at most π"), r"length|π|constant speed"),
 ]  # fmt: skip
 for name, mistake, options, sentence, cause in STATES:
     fault(name, FAMILY, mistake, cause, build=partial(trajectory, **options), sentence=sentence)

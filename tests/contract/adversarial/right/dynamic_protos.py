@@ -358,13 +358,6 @@ right_model(
     build=partial(post_process, layout=(1, 4, "h", "w"), strength=False),
 )
 right_model("continues_paths", TOOL, "trajectory-predictor", "synthetic", build=trajectory)
-right_model(
-    "continues_paths_by_axis_angle",
-    TOOL,
-    "trajectory-predictor",
-    "synthetic",
-    build=partial(trajectory, state=6, representation="position+axis-angle"),
-)
 # The releases that the target names were measured to join 256 inputs right.
 right_model(
     "concat_of_sixteen_webgpu",

@@ -1,7 +1,6 @@
 """Validation rules of trajectory predictors: valid states, and the symmetries of motion."""
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 
@@ -10,13 +9,12 @@ from gsgen.contract.probing.behaviour_probes import (
     HISTORIES,
     NEGATED_LABEL,
     PATH_OFFSET,
+    STEADY_TURN_LABEL,
     STRAIGHT_PATH_LABEL,
-    TURN_AXIS,
-    TURN_STEP,
 )
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
-from gsgen.contract.spec.geometry import quaternion_product
+from gsgen.contract.spec.geometry import quaternion_product, quaternions_of, rotation_vectors
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -29,21 +27,19 @@ _ROTATION = slice(3, None)
 _UNIT_QUATERNION_TOLERANCE = 1e-3
 # A dot product of quaternions, or a length beyond π, may be off by this much.
 _SIGN_SLACK = 1e-3
-# The statistic is the mean motion from state to state, along three straight paths, in steps of the
-# path. It is 1 where the motion goes on, 0.5 where it slows down, 0 where it stops, −0.2 to −2.9
-# for a history that is read or written the other way round. The same holds for a camera that turns
-# at constant speed.
-_MAX_BACKWARD_STEPS = 0.1
-# Off the path by more than this many steps, and by more than this multiple of the motion along
-# it: axes that are exchanged or negated give 0.9 and 2 or more, right models at most 0.3 steps.
-_MAX_SIDE_STEPS, _MAX_SIDE_RATIO = 0.5, 1.0
-# More than so many steps at once: the speed is in another unit than steps.
-_MAX_FORWARD_STEPS = 3.0
+# A motion from state to state may be off by this share of the history's: right models by less than
+# 0.1, those that stay by 1, that damp by half by 0.5, and axes exchanged or negated by 0.9 or more.
+_MAX_STEP_ERROR = 0.25
+# Another reading of states explains a fault if it leaves at most this error: 0 to 0.1 where it does.
+_MAX_EXPLAINED_ERROR = 0.1
 # On three straight paths that are orthogonal, motions go on by at least this share of the largest
 # in every direction, up left out where `space` tells it: 1 in right models, 0.4 in one that damps y.
 _MIN_ISOTROPY, _MIN_SPEED = 0.5, 0.2
-# Motions equal step_seconds within this share where a motion per step is multiplied by seconds.
-_MAX_SECONDS_ERROR, _MAX_STEP_SECONDS = 0.05, 0.25
+# A negative eigenvalue of a covariance, relative to its largest one, that rounding explains.
+_EIGENVALUE_SLACK = 1e-5
+# The mean dot product of the newest state and the first prediction: above 0.9 in the right order of
+# numbers, −0.3 to 0.5 in another.
+_MIN_ORDER_MARGIN = 0.3
 # The largest drift of a predicted state, relative to the size of the coordinates.
 _MAX_REST_POSE_DRIFT = 2e-3
 
@@ -74,14 +70,15 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     at_moments=True,
 )
 def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Every predicted standard deviation, or every variance on the diagonal, is above 0.
+    """Every predicted standard deviation is above 0, or every covariance positive semi-definite.
 
     Why:
         A viewer may weigh predictions by it. Zero claims certainty, which no camera path
         allows, and a negative number is usually the logarithm of a variance.
 
     Hint:
-        Return exp(log_variance / 2) or a softplus, plus a small floor.
+        Return exp(log_variance / 2) or a softplus, plus a small floor; of a covariance Σ = L Lᵀ
+        the upper triangle, row by row.
     """
     manifest = probe_runs.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
@@ -91,11 +88,39 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
             continue
         if uncertainty_output.semantics == "covariance-upper":
             size = STATE_SIZES[manifest.outputs.future.representation]
-            rows = np.arange(size)
-            value = value[:, rows * size - rows * (rows - 1) // 2]
-        if not (value > 0).all():
+            fault = covariance_fault(value.astype(np.float64), size)
+            if fault:
+                actual = f"{fault} at probe {label!r}"
+                expected = "variances above 0, and no negative eigenvalue"
+                yield Violation.at(f"output {name}", actual, expected)
+        elif not (value > 0).all():
             actual = f"{float(value.min()):.4g} at probe {label!r}"
             yield Violation.at(f"output {name}", actual, "numbers above 0")
+
+
+def covariance_fault(triangles: Float[np.ndarray, "k n"], size: int) -> str:
+    """Return the fault of covariances that are given by upper triangles, row by row; empty if valid."""
+    readings = {}
+    for words, corner in (("upper", np.triu_indices), ("lower", np.tril_indices)):
+        rows, columns = corner(size)
+        matrices = np.zeros((len(triangles), size, size))
+        matrices[:, rows, columns] = matrices[:, columns, rows] = triangles
+        eigenvalues = np.linalg.eigvalsh(matrices)
+        variances = np.diagonal(matrices, axis1=1, axis2=2)
+        slack = _EIGENVALUE_SLACK * np.abs(eigenvalues).max(axis=1)
+        readings[words] = eigenvalues[:, 0], variances.min(axis=1), slack
+    lowest, variance, slack = readings["upper"]
+    is_wrong = (variance <= 0) | (lowest < -slack)
+    if not is_wrong.any():
+        return ""
+    row = int(is_wrong.argmax())
+    fault = f"the covariance in row {row} has the eigenvalue {lowest[row]:.4g}"
+    if variance[row] <= 0:
+        fault = f"the covariance in row {row} has the variance {variance[row]:.4g}"
+    lowest, variance, slack = readings["lower"]
+    if ((variance > 0) & (lowest >= -slack)).all():
+        fault += "; read as the lower triangle, row by row, all are positive"
+    return fault
 
 
 @rule(
@@ -221,33 +246,23 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
     """Where the camera moves or turns at constant speed, predictions go on so in all directions.
 
     Why:
-        The history has its oldest state first, and predictions the nearest one. A model that
-        reverses either, or mixes up axes, fetches the scene behind the camera.
-        One that slows down along y alone knows an axis that other worlds lack.
+        A history has its oldest state first, predictions the nearest one. A model that reverses
+        either, brakes, or mixes up axes, fetches tiles that the camera will not see.
 
     Hint:
-        Take the last row of the history as the newest state, and return the nearest prediction
-        first; `flip(0)` reverses rows. Add the newest state minus the one before it, per step.
+        Take the history's last row as the newest state, and return the nearest prediction first.
+        Add the newest state minus the one before it, per step; multiply rotations by the newest
+        one times the inverse of the one before.
     """
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
-    paths = [run for run in behaviour.trial_runs("paths") if STRAIGHT_PATH_LABEL in run.probe.label]
-    kinds = {
-        "straight paths": [_straight_motions(behaviour, run) for run in paths],
-        "turns": [_turning_motions(behaviour, run) for run in behaviour.trial_runs(HISTORIES)],
-    }
-    for words, motions in kinds.items():
-        known_motions = [motion for motion in motions if motion is not None]
-        mean_motion = np.mean(known_motions, axis=0) if known_motions else None
-        fault = (
-            _fault_of_motion(mean_motion, manifest.step_seconds) if mean_motion is not None else ""
-        )
-        if fault:
-            expected = "steps along the path, as those of the history"
-            actual = f"on {words}, {fault}"
-            yield Violation.at(f"output {manifest.outputs.future.name}", actual, expected)
-            return
-    shares = _slowest_direction(behaviour, paths)
+    future_name, space = manifest.outputs.future.name, manifest.space
+    vertical = None if space is None else "xyz".index(space.up[1])
+    runs = behaviour.trial_runs("paths")
+    paths = [run for run in runs if STRAIGHT_PATH_LABEL in run.probe.label]
+    turns = [run for run in runs if STEADY_TURN_LABEL in run.probe.label]
+    turns += behaviour.trial_runs(HISTORIES)
+    shares = _slowest_direction(behaviour, paths[:3])
     if shares is not None and shares[0] < _MIN_ISOTROPY:
         axis = " ".join(f"{part:.2g}" for part in shares[1])
         actual = (
@@ -256,7 +271,101 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
         )
         expected = "the same motion in every direction, but for that along `space.up`"
         hint = 'Treat x, y and z alike, or declare "space" with the "up" that the model knows.'
-        yield Violation.at(f"output {manifest.outputs.future.name}", actual, expected, hint=hint)
+        yield Violation.at(f"output {future_name}", actual, expected, hint=hint)
+        return
+    for words, turning, group in (("moves", False, paths), ("turns", True, turns)):
+        for run in group:
+            history, future = _history(behaviour, run), _future_states(behaviour, run)
+            if future is None or len(history) < 2 or future.shape[1] != history.shape[1]:
+                continue
+            fault = fault_of_steady_path(history, future, turning=turning, vertical=vertical)
+            if fault:
+                actual = f"a camera that {words} at constant speed: {fault} ({run.probe.label!r})"
+                expected = f"each state goes on by one step, within {_MAX_STEP_ERROR:g} of it"
+                yield Violation.at(f"output {future_name}", actual, expected)
+                return
+
+
+def fault_of_steady_path(
+    history: Float[np.ndarray, "t s"],
+    future: Float[np.ndarray, "k s"],
+    *,
+    turning: bool,
+    vertical: int | None = None,
+) -> str:
+    """Return how predictions leave a path of constant speed, and which reading explains it.
+
+    Args:
+        history: Past states of constant velocity, oldest first.
+        future: Predicted states.
+        turning: Whether the rotation goes on, rather than the place.
+        vertical: The axis along which motion may be damped; None for no axis.
+    """
+    error = _step_errors(history, future, turning=turning, vertical=vertical)[0].max()
+    if error <= _MAX_STEP_ERROR:
+        # The part of the states that rested stays at rest.
+        rest = _POSITION_COLUMNS if turning else _ROTATION
+        drift = np.abs(future[:, rest] - history[-1, rest]).max()
+        if drift <= _MAX_REST_POSE_DRIFT * max(1.0, np.abs(history[-1, rest]).max()):
+            return ""
+        return f"it {'moves' if turning else 'turns'} too, by {drift:.2g} in the predicted states"
+    # Explanations are tried: each is another reading, under which the same path goes on.
+    readings = {"states come farthest first; nearest first is right": future[::-1]}
+    if turning and future.shape[1] == STATE_SIZES["position+quaternion-wxyz"]:
+        readings["quaternions are written in the order x y z w"] = future[:, [0, 1, 2, 6, 3, 4, 5]]
+        readings["quaternions are written as their inverses"] = future * [1, 1, 1, 1, -1, -1, -1]
+    for words, states in readings.items():
+        explained = _step_errors(history, states, turning=turning, vertical=vertical)[0].max()
+        if explained <= _MAX_EXPLAINED_ERROR:
+            return words
+    errors, along, across = _step_errors(history, future, turning=turning, vertical=vertical)
+    number = int(np.argmax(errors > _MAX_STEP_ERROR))
+    start = "the state before" if number else "the newest state"
+    if across[number] > _MAX_STEP_ERROR:
+        place = f"{along[number]:.2g} steps on and {across[number]:.2g} aside of {start}"
+        return f"predicted state {number + 1} is {place}"
+    if np.ptp(along) <= _MAX_EXPLAINED_ERROR:
+        if abs(along[0]) <= _MAX_EXPLAINED_ERROR and abs(along[0]) > 0.001:
+            return f"each state goes on by {along[0]:.3g} steps, a speed in another unit"
+        speed = f"each state goes on by {along[0]:.2g} of the speed"
+        return f"{speed}: the order of the history is reversed" if along[0] < 0 else speed
+    return f"predicted state {number + 1} is {along[number]:.2g} steps on from {start}, not 1"
+
+
+def _step_errors(
+    history: Float[np.ndarray, "t s"],
+    future: Float[np.ndarray, "k s"],
+    *,
+    turning: bool,
+    vertical: int | None,
+) -> Float[np.ndarray, "3 k"]:
+    """Return each predicted step's error, its part along the history's step, and that across it.
+
+    All are relative to the length of that step, from the newest two states of the history.
+    """
+    states = np.vstack([history[-2:], future])
+    if turning:
+        quaternions = states[:, _ROTATION]
+        if quaternions.shape[1] != STATE_SIZES["position+quaternion-wxyz"] - 3:
+            quaternions = quaternions_of(quaternions)
+        inverse = quaternions * [1, -1, -1, -1]
+        steps = rotation_vectors(
+            np.stack(
+                [
+                    quaternion_product(later, earlier[None])[0]
+                    for later, earlier in zip(quaternions[1:], inverse[:-1], strict=True)
+                ]
+            )
+        )
+    else:
+        steps = np.diff(states[:, _POSITION_COLUMNS], axis=0)
+        if vertical is not None:
+            steps[:, vertical] = 0
+    length = max(float(np.linalg.norm(steps[0])), np.finfo(np.float32).tiny)
+    direction, motions = steps[0] / length, steps[1:] / length
+    along = motions @ direction
+    across = np.linalg.norm(motions - along[:, None] * direction, axis=1)
+    return np.stack([np.hypot(along - 1, across), along, across])
 
 
 def _slowest_direction(
@@ -286,75 +395,11 @@ def _slowest_direction(
     return float(speeds[0] / speeds[-1]), directions[:, 0] @ basis
 
 
-def _fault_of_motion(motions: Float[np.ndarray, "k 2"], step_seconds: float) -> str:
-    """Return the fault of predicted motions on a steady path; empty if they have none.
-
-    Args:
-        motions: Steps along the path and off it, from the newest state to the first prediction,
-            and from each prediction to the next.
-        step_seconds: The seconds from state to state.
-    """
-    along = motions[:, 0]
-    is_times_seconds = np.abs(along - step_seconds).max() <= _MAX_SECONDS_ERROR * step_seconds
-    if step_seconds <= _MAX_STEP_SECONDS and is_times_seconds:
-        return f"each state lies {step_seconds:g} steps ahead: a motion per step times step_seconds"
-    for number, (forward, sideways) in enumerate(motions, start=1):
-        start = "the state before" if number > 1 else "the newest of the history"
-        if forward < -_MAX_BACKWARD_STEPS:
-            return f"predicted state {number} lies {-forward:.2g} steps behind {start}"
-        if sideways > max(_MAX_SIDE_STEPS, _MAX_SIDE_RATIO * forward):
-            return f"predicted state {number} lies {sideways:.2g} steps aside of {start}"
-        if forward > _MAX_FORWARD_STEPS:
-            return f"predicted state {number} lies {forward:.3g} steps ahead of {start}"
-    return ""
-
-
-def _steps_along(
-    motions: Float[np.ndarray, "k 3"], step: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "k 2"]:
-    """Return the parts of motions along a step and across it, in lengths of the step."""
-    length = float(np.linalg.norm(step))
-    along = motions @ step / length**2
-    across = np.linalg.norm(motions - along[:, None] * step, axis=1) / length
-    return np.stack([along, across], axis=1)
-
-
 def _history(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "t s"]:
     manifest = behaviour.subject.manifest
     assert manifest is not None
     name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
     return run.probe.inputs[name].astype(np.float64)
-
-
-def _straight_motions(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "k 2"] | None:
-    """Return how predicted cameras move on a straight path, in its steps; None without a speed."""
-    future, history = _future_states(behaviour, run), _history(behaviour, run)
-    if future is None or len(history) < 2:
-        return None
-    states = np.vstack([history[-1:], future])[:, _POSITION_COLUMNS]
-    return _steps_along(
-        np.diff(states, axis=0), np.diff(history[-2:, _POSITION_COLUMNS], axis=0)[0]
-    )
-
-
-def _turning_motions(behaviour: Behaviour, run: ProbeRun) -> Float[np.ndarray, "k 2"] | None:
-    """Return how predicted cameras turn after a steady turn, in its steps; None without a speed."""
-    future, history = _future_states(behaviour, run), _history(behaviour, run)
-    if future is None or len(history) < 2:
-        return None
-    states = np.vstack([history[-1:], future])[:, _ROTATION]
-    turns = [
-        _rotation_vector(quaternion_product(later, earlier * [1, -1, -1, -1]))
-        for earlier, later in pairwise(states)
-    ]
-    return _steps_along(np.stack(turns), TURN_STEP * np.asarray(TURN_AXIS))
-
-
-def _rotation_vector(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"]:
-    """Return axis times angle, in radians, of a quaternion (w, x, y, z) of either sign."""
-    w, vector = np.abs(quaternion[0]), quaternion[1:] * (1 if quaternion[0] >= 0 else -1)
-    sine = float(np.linalg.norm(vector))
-    return np.asarray(2 * np.arctan2(sine, w) / max(sine, 1e-12) * vector)
 
 
 @rule(
@@ -380,24 +425,37 @@ def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
     future = manifest.outputs.future
     history_name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
     inputs = {probe.label: probe.inputs[history_name] for probe in probe_runs.plan.probes}
-    for name, value, label in _values(probe_runs, includes_zeros=False):
-        if name != future.name:
-            continue
-        rotations = np.vstack([inputs[label][-1:, _ROTATION], value[:, _ROTATION]])
-        rotations = rotations.astype(np.float64)
+    paths = [
+        (np.vstack([inputs[label][-1:, _ROTATION], value[:, _ROTATION]]).astype(np.float64), label)
+        for name, value, label in _values(probe_runs, includes_zeros=False)
+        if name == future.name
+    ]
+    for rotations, label in paths:
         if future.representation == "position+quaternion-wxyz":
             products = (rotations[:-1] * rotations[1:]).sum(axis=1)
             wrong, number, expected = products < -_SIGN_SLACK, products, "at least 0"
             words = "dot product {:.3g} with the state before"
+            if _written_with_w_last([states for states, _ in paths]):
+                words = f"quaternions are written in the order x y z w, not w x y z: {words}"
         else:
-            number = np.linalg.norm(value[:, _ROTATION].astype(np.float64), axis=1)
+            number = np.linalg.norm(rotations[1:], axis=1)
             wrong, expected = number > np.pi + _SIGN_SLACK, "at most π"
             words = "length {:.4g}"
         if wrong.any():
             row = int(wrong.argmax())
             actual = f"{words.format(number[row])} in row {row} at probe {label!r}"
-            yield Violation.at(f"output {name}", actual, expected)
+            yield Violation.at(f"output {future.name}", actual, expected)
             return
+
+
+def _written_with_w_last(paths: list[Float[np.ndarray, "k 4"]]) -> bool:
+    """Return whether predictions continue the newest state only if read in the order x y z w."""
+    first = np.stack([path[:2] for path in paths])
+    as_written, w_last = (
+        (first[:, 0] * first[:, 1][:, order]).sum(axis=1).mean()
+        for order in ([0, 1, 2, 3], [3, 0, 1, 2])
+    )
+    return bool(w_last > max(as_written, 0) + _MIN_ORDER_MARGIN)
 
 
 def _future_states(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:

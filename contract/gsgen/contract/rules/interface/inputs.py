@@ -146,9 +146,9 @@ def _feed_faults(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
     location = f"input {tensor.name}"
     dims = static_dims(tensor)
     if dims is None:
-        if kind == GENERATOR:
+        if kind != POST_PROCESS:
             yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
-        elif kind == POST_PROCESS and not _is_open_image(tensor, role):
+        elif not _is_open_image(tensor, role):
             shapes = _shapes_text(ROLES[role], kind)
             expected = f"{shapes}, channels first; only height and width may be open, not the batch"
             yield Violation.at(location, f"shape {_shape_text(tensor)}", expected)
