@@ -1,6 +1,6 @@
 """Measures the loss of a clip: drawn moments against the source's, at frames and between them."""
 
-__all__ = ["measure_loss"]
+__all__ = ["camera_around", "draw_rows", "measure_loss"]
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -60,7 +60,7 @@ def measure_loss(
     between = np.unique(np.linspace(0, count - 2, max(1, moments // 2)).round().astype(int)) + 0.5
     rows = []
     with FrameSession(path, provider="cpu") as session:
-        camera = _camera([read(number) for number in (0, count // 2, count - 1)])
+        camera = camera_around([read(number) for number in (0, count // 2, count - 1)])
         for place in (*frames.tolist(), *between.tolist()):
             source = _source_moment(read, place)
             if source is None:
@@ -68,7 +68,7 @@ def measure_loss(
             moment = place / _frames(session.manifest)
             frame = session.run({"time": np.array([moment], np.float32)}, copy=True)
             played = _played(frame, session.manifest, source)
-            pictures = [_picture(renderer, moment, camera) for moment in (played, source)]
+            pictures = [draw_rows(renderer, moment, camera) for moment in (played, source)]
             ratio = min(psnr(*pictures), _EQUAL_PICTURES_DB)
             similarity = ssim(*pictures)
             rows.append({"frame": place, "psnr": round(ratio, 2), "ssim": round(similarity, 5)})
@@ -97,7 +97,8 @@ def _frames(manifest: Manifest | None) -> int:
     return time.frames
 
 
-def _camera(frames: Sequence[ConstantRows]) -> Camera:
+def camera_around(frames: Sequence[ConstantRows]) -> Camera:
+    """Return the camera of 320 × 240 pixels that sees all Gaussians of some frames."""
     box = union_of_boxes([box_around(_splat_data(frame)) for frame in frames])
     low, high = (np.zeros(3), np.ones(3)) if box is None else box
     centre, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)), 1e-6)
@@ -148,9 +149,10 @@ def _splat_data(frame: ConstantRows) -> SplatData:
     )
 
 
-def _picture(
+def draw_rows(
     renderer: "Renderer", frame: ConstantRows, camera: Camera
 ) -> Float32[np.ndarray, "h w 3"]:
+    """Draw the rows of a frame before black; colours are clipped to 0 and 1."""
     scene = Scene([_splat_data(frame)], color_space=frame.color_space)
     rgba = renderer.render(scene, camera, background=(0, 0, 0, 1)).rgba
     assert rgba is not None  # colours are rendered by default
