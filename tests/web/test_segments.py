@@ -1,5 +1,7 @@
 """Clips in pages: segments are fetched as time goes on, and drawn as Python draws them."""
 
+import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.tiles.serving.server import serve_folder
 from support.commands import gsgen_here
 from support.web.pages import WebSite
 from support.web.scene_pages import HEIGHT, WIDTH, decibels, picture, rendered, shown
@@ -95,3 +98,20 @@ def test_a_later_segment_above_the_capacity_is_named(page: Any, site: WebSite) -
         }"""
     )
     assert "clip/0001.onnx: has 400 Gaussians, expected at most 300" in error
+
+
+def test_segments_play_from_the_server_of_tiles(page: Any, site: WebSite, folder: Path) -> None:
+    """From another origin, segment by segment."""
+    document = json.loads((folder / "clip.json").read_text("utf-8"))
+    local = shown(site, document)
+    expected = picture(page, 0.5)
+    log: list[str] = []
+    with serve_folder(folder, log=log.append, cors=[site.address]) as server:
+        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+        for segment in document["models"][0]["segments"]:
+            segment["path"] = server.address + segment["path"]
+        assert shown(site, document) == local
+        assert not any("0003.onnx" in line for line in log)
+        np.testing.assert_array_equal(picture(page, 0.5), expected)
+        server.shutdown()
+    assert {"200 /clip/0000.sog", "200 /clip/0002.onnx"} <= set(log)

@@ -13,7 +13,11 @@ from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 
 def serve(
     folder: Annotated[
-        Path, typer.Argument(help="The folder of a tileset, or of several.", show_default=False)
+        Path,
+        typer.Argument(
+            help="The folder of a tileset, of several, or of a clip's scene file and segments.",
+            show_default=False,
+        ),
     ],
     port: Annotated[int, typer.Option(help="0 takes one that is free.", min=0, max=65535)] = 8000,
     host: Annotated[str, typer.Option(help="The address to listen at.")] = "127.0.0.1",
@@ -85,8 +89,9 @@ def serve(
         ) from error
     with server:
         echo(server.address)
-        index = "tileset.json" if (folder / "tileset.json").is_file() else ""
-        echo(f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True)
+        is_tileset = (folder / "tileset.json").is_file()
+        trial = f"; try: gsgen tiles info {server.address}tileset.json" if is_tileset else ""
+        echo(f"serving {folder}{trial}", err=True)
         server.serve_forever(poll_interval=0.1)
 
 
