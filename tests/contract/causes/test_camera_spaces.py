@@ -1,10 +1,12 @@
 """Centres that follow the camera: each space is named, and no order of columns is blamed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.builders.clouds import cloud
-from gsgen.contract.causes.camera_spaces import _SPACES
+from gsgen.contract.causes.camera_spaces import _SPACES, space_of_still_rows
 from gsgen.contract.causes.explanations import explain_rows
 from gsgen.contract.causes.readings import SeenRows
 from gsgen.contract.spec.geometry import look_at, perspective
@@ -23,7 +25,12 @@ def misplaced(space: str, points: np.ndarray, view: np.ndarray) -> np.ndarray:
     """Return centres as a model gives them that makes the mistake of a space."""
     rotation, translation = view[:3, :3], view[:3, 3]
     center = -rotation.T @ translation
-    return {
+    along = "moved by the camera's centre along "
+    centres = {
+        **{
+            f"{along}{' and '.join(axes)}": points + center * [axis in axes for axis in "xyz"]
+            for axes in ("xz", "xy", "yz", "x", "y", "z")
+        },
         "in camera space": homogeneous(view, points),
         "in the camera space of OpenGL": homogeneous(view, points) * [1, -1, -1],
         "in clip space": homogeneous(PROJECTION @ view, points),
@@ -33,7 +40,8 @@ def misplaced(space: str, points: np.ndarray, view: np.ndarray) -> np.ndarray:
         "turned into the camera's axes": points @ rotation.T,
         "moved by the inverse of the view matrix": homogeneous(np.linalg.inv(view), points),
         "": points,
-    }[space]
+    }
+    return np.asarray(centres[space])
 
 
 def seen(space: str, eye: list[float], points: np.ndarray) -> SeenRows:
@@ -95,3 +103,27 @@ def test_an_order_that_hides_the_content_from_all_cameras_loses() -> None:
         drawn=np.ones(len(rows), bool),
     )
     assert explain_rows(rows, cameras=[hidden, hidden]) is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.06, 0.3, 0.7, 1.0])
+@pytest.mark.parametrize("space", _SPACES)
+def test_a_part_of_the_rows_may_follow_the_camera(space: str, share: float) -> None:
+    """Actors in camera space stand before a static background, in any part of the rows."""
+    points = cloud(200, seed=3).position
+    follows = np.random.default_rng(3).permutation(200) < 200 * share
+    cameras = []
+    for eye in EYES:
+        camera = seen(space, eye, points)
+        position = np.where(follows[:, None], camera.position, points)
+        cameras.append(replace(camera, position=position))
+    explanation = space_of_still_rows(cameras)
+    assert (explanation.name if explanation else "") == (space if share else "")
+
+
+def test_rows_that_are_in_another_order_follow_no_camera() -> None:
+    points = cloud(200, seed=4).position
+    random = np.random.default_rng(4)
+    cameras = [
+        replace(seen("", eye, points), position=points[random.permutation(200)]) for eye in EYES
+    ]
+    assert space_of_still_rows(cameras) is None

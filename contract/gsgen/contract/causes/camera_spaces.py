@@ -21,7 +21,8 @@ from gsgen.contract.causes.readings import (
 # less than the second once the camera is undone.
 _MIN_MOTION_RATIO = 0.05
 _MAX_RESIDUAL_RATIO = 2e-3
-_MIN_MOVING_ROWS = 4
+# A part of the rows may follow, such as actors before a static background, or a grid around the camera.
+_MIN_MOVING_ROWS, _MIN_MOVING_SHARE = 4, 0.05
 
 
 def space_of_still_rows(cameras: Sequence[SeenRows]) -> Explanation | None:
@@ -36,13 +37,15 @@ def space_of_still_rows(cameras: Sequence[SeenRows]) -> Explanation | None:
         motion = np.linalg.norm(first.position[drawn] - second.position[drawn], axis=1)
         extent = float(np.linalg.norm(np.ptp(first.position[drawn], axis=0)))
         is_moving = motion > _MIN_MOTION_RATIO * extent
-        if not np.median(is_moving):
+        if np.count_nonzero(is_moving) < max(_MIN_MOVING_ROWS, _MIN_MOVING_SHARE * count):
             continue
         for name, (undo, hint) in _SPACES.items():
             local_positions = [undo(camera) for camera in (first, second)]
             if any(points is None for points in local_positions):
                 continue
-            before, after = (points[drawn] for points in local_positions if points is not None)
+            before, after = (
+                points[drawn][is_moving] for points in local_positions if points is not None
+            )
             spread = float(np.linalg.norm(np.ptp(before, axis=0)))
             residual = np.linalg.norm(before - after, axis=1)
             if not (spread > 0 and np.isfinite(residual).all()):
@@ -96,6 +99,11 @@ def _moved_by_centre(camera: SeenRows) -> Float[np.ndarray, "n 3"]:
     return np.asarray(camera.position - camera.center)
 
 
+def _moved_along(axes: str) -> Callable[[SeenRows], Float[np.ndarray, "n 3"]]:
+    is_followed = np.array([axis in axes for axis in "xyz"])
+    return lambda camera: np.asarray(camera.position - camera.center * is_followed)
+
+
 def _relative_to_translation(camera: SeenRows) -> Float[np.ndarray, "n 3"] | None:
     return None if camera.view is None else np.asarray(camera.position + camera.view[:3, 3])
 
@@ -126,6 +134,14 @@ _SPACES: Final[dict[str, tuple[Callable[[SeenRows], Float[np.ndarray, "n 3"] | N
         _moved_by_centre,
         "Do not add the camera's centre to centres that are in local space already.",
     ),
+    **{
+        f"moved by the camera's centre along {' and '.join(axes)}": (
+            _moved_along(axes),
+            "Do not move the centres of the rows with the camera: place rows for the whole scene, and "
+            "hide those that are far.",
+        )
+        for axes in ("xz", "xy", "yz", "x", "y", "z")
+    },
     "relative to the translation of the view matrix": (
         _relative_to_translation,
         "Do not subtract the view matrix's translation from the centres of the rows.",

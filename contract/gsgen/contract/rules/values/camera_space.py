@@ -35,7 +35,8 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
     space = space_of_still_rows(isolated_views(probe_runs))
     if space is not None and declared is not None:
-        actual = f"the centres are {space.name}: they follow the camera"
+        part = f" of {space.declared:.0%} of the rows" if space.declared < 1 else ""
+        actual = f"the centres{part} are {space.name}: they follow the camera"
         yield Violation.at(
             f"output {declared.name}", actual, "centres in local space", hint=space.hint
         )
