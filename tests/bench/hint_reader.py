@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import onnx
 import onnx.parser
+from torch_lines import LineWriter
 
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
 from gsgen.contract.validation.finding import Finding
@@ -66,17 +67,20 @@ class Draft:
                 key: array.astype(np.float16) if array.dtype == np.float32 else array
                 for key, array in weights.items()
             }
+        self.append_nodes([onnx.parser.parse_node(text) for text in nodes.split("; ")], name)
+        self.add_weights(weights)
+
+    def append_nodes(self, nodes: list[onnx.NodeProto], name: str) -> None:
+        """Put nodes behind an output, which they read as ``old`` and give as ``new``."""
         for weight in self.model.graph.initializer:
             weight.name = f"{name}.old" if weight.name == name else weight.name
         for node in self.model.graph.node:
             for names in (node.output, node.input):
                 names[:] = [f"{n}.old" if n == name else n for n in names]
-        for text in nodes.split("; "):
-            node = onnx.parser.parse_node(text)
+        for node in nodes:
             for names in (node.output, node.input):
                 names[:] = [{"old": f"{name}.old", "new": name}.get(n, n) for n in names]
             self.model.graph.node.append(node)
-        self.add_weights(weights)
 
     def prepend(self, node_text: str, **weights: np.ndarray) -> None:
         """Put a node of ONNX text between an input and those that read it."""
@@ -422,6 +426,15 @@ LICENSE = {"license": "Apache-2.0", "tool": "exporter 1.2"}
 HALF, BYTE = np.float32([0.5]), np.float32([255])
 
 
+def torch_line(draft: Draft, match: re.Match[str]) -> None:
+    """Append the torch line that the hint gives to the output of the finding."""
+    name = draft.finding.where.subject.removeprefix("output ")
+    writer = LineWriter(draft.tensor(name).elem_type)
+    writer.line(match["line"])
+    draft.append_nodes(writer.nodes, name)
+    draft.add_weights(writer.weights)
+
+
 def set_path(draft: Draft, match: re.Match[str]) -> None:
     """Write the JSON value that follows at a path of the manifest."""
     value, _ = json.JSONDecoder().raw_decode(match.string, match.end())
@@ -440,6 +453,7 @@ def remove_path(draft: Draft, match: re.Match[str]) -> None:
 
 # Words of location, message and hint, and the edit that they ask for; the first match counts.
 MENDS: tuple[tuple[str, Edit], ...] = (
+    (r"^output .*\b(?:return|by the line)\s+`(?P<line>(color|torch)[^`]*)`[^|]*$", torch_line),
     (r"\| [^|]*\bSet (?P<path>[\w.-]+) to (?=[^|]*$)", set_path),
     (r"\| [^|]*\b[Rr]emove (?P<path>\w+(\.[\w-]+)+)[,.][^|]*$", remove_path),
     (r"a manifest (under the key|in the metadata of the graph)", embed_found),

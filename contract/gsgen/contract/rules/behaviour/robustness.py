@@ -48,7 +48,8 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
         of zero and logarithms of zero hide there.
 
     Hint:
-        Clamp under the square root, and before division and logarithm.
+        Clamp under the square root, and before division and logarithm. To hide such rows meanwhile,
+        return `torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     yield from _failed_run_violations(behaviour.trial_runs("edges"))
 

@@ -72,8 +72,8 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
         values, are placed on the CPU, and graph capture is then refused for the whole model.
 
     Hint:
-        Keep all rows, set the opacity of those that are not wanted to zero with Where, and lower
-        num_points.
+        `gsgen rewrite MODEL -o COPY` where sizes can be computed; else keep all rows, set the opacity
+        of those that are not wanted to zero with Where, and lower num_points.
     """
     for placement in _placements_of_cause(subject, "shape"):
         names = shape_arguments(placement.node)
@@ -92,7 +92,8 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
         the CPU, and graph capture is then refused for the whole model.
 
     Hint:
-        Cast to int32 first; frame numbers and identities come as int32 already.
+        `gsgen rewrite MODEL -o COPY`, or cast to int32 first; frame numbers and identities come as
+        int32 already.
     """
     for placement in _placements_of_cause(subject, "int64"):
         yield Violation.at(
@@ -111,8 +112,8 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         for the whole model. A few kernels exist and compute something else.
 
     Hint:
-        Write the operation with operators that have kernels: Round as Floor(x + 0.5), Mod as
-        x − Floor(x / y) · y, Sign as a difference of two comparisons.
+        `gsgen rewrite MODEL -o COPY` writes the operation with operators that have kernels, such as
+        Round as Floor(x + 0.5), and Mod as x − Floor(x / y) · y.
     """
     for placement in _placements_of_cause(subject, "operator"):
         yield Violation.at(
@@ -132,7 +133,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
         newer releases join in steps.
 
     Hint:
-        Nest them: join or split seven at a time.
+        `gsgen rewrite MODEL -o COPY`, which joins or splits seven at a time.
     """
     limits = subject.target.limits
     for placement in subject.placements:
@@ -160,8 +161,8 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         1.22. The node falls to the CPU, and graph capture is refused for the whole model.
 
     Hint:
-        Write it out: subtract the mean, divide by the root of the mean square, and clamp under the
-        root rather than add a small number.
+        `gsgen rewrite MODEL -o COPY` writes it out: subtract the mean, divide by the root of the mean
+        square, and clamp under the root rather than add a small number.
     """
     for placement in _placements_of_cause(subject, "norm"):
         yield Violation.at(
@@ -179,7 +180,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
         they fall to the CPU, and graph capture is refused.
 
     Hint:
-        Export at operator set 18.
+        Export at operator set 18, or lower it with `gsgen rewrite MODEL -o COPY`.
     """
     for placement in _placements_of_cause(subject, "opset"):
         yield Violation.at(
@@ -273,8 +274,8 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
         ScatterElements.
 
     Hint:
-        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
-        Scatter by Concat, Where or Gather.
+        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that.
+        `gsgen rewrite MODEL -o COPY` does so, and replaces Scatter by Where or Gather.
     """
     graph = subject.graph
     for tensor in graph.outputs:

@@ -81,7 +81,8 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
         Graph capture refuses control flow, so every frame pays for launching every kernel again.
 
     Hint:
-        Compute both branches and select with Where; unroll loops of fixed length.
+        `gsgen rewrite MODEL -o COPY` unrolls loops of fixed length. Compute both branches of an If,
+        and select with Where.
     """
     for node in subject.graph.all_nodes():
         if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
@@ -97,7 +98,8 @@ def no_float64(subject: InspectedModel) -> Iterator[Violation]:
         session is refused.
 
     Hint:
-        Keep constants and buffers in float32; numpy and Python floats are float64 by default.
+        Keep constants and buffers in float32; numpy and Python floats are float64 by default. Where
+        that cancels out, `gsgen rewrite MODEL -o COPY` suffices.
     """
     for tensor in subject.graph.tensors.values():
         if tensor.dtype == "float64":
@@ -133,7 +135,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
 
     Hint:
         Give the vector a second axis: Unsqueeze it to [n, 1], multiply, and Squeeze the result.
-        Models exported with the SDK are so already.
+        `gsgen rewrite MODEL -o COPY` does so.
     """
     graph = subject.graph
     for node in graph.nodes:

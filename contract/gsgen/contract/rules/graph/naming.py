@@ -54,7 +54,8 @@ def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
         constant of a node cannot be stored in a separate file, and optimisers copy it.
 
     Hint:
-        Store large weights as initialisers, in a file beside the model if they are many.
+        `gsgen rewrite MODEL -o COPY` makes constants initialisers; store them in a file beside the
+        model if they are many.
     """
     file = subject.file
     if file.size > _MAX_FILE_BYTES:

@@ -188,7 +188,8 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
         may stay in buffers and sort on top of the picture.
 
     Hint:
-        Guard the division or the norm that sees the zero, with a clamp under the square root.
+        Guard the division or the norm that sees the zero, with a clamp under the square root. To
+        hide such rows meanwhile, return `torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     if not emission.zeros:
         return

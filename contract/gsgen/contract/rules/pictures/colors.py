@@ -40,7 +40,7 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
     if not sample.emission.is_sh or sample.even_row_color is None:
         return
     constant = sample.even_row_color[:, :3]
-    mistake = _diagnose_sh_constant(constant)
+    mistake, inverse = _diagnose_sh_constant(constant)
     if mistake:
         low, high = SH_OFFSET + SH_DC * float(constant.min()), SH_OFFSET + SH_DC * constant.max()
         actual = (
@@ -49,11 +49,24 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
         )
         location = Location(sample.emission.color_label, "degree 0")
         expected = "colours that reach both halves of 0 to 1, and are rarely clipped"
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            hint=_undo_hint(inverse),
+        )
 
 
-def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong RGB-to-SH conversion that explains degree-0 coefficients; empty if none."""
+def _undo_hint(inverse: str) -> str:
+    """Return the hint to undo a conversion of the first three channels; empty without inverse."""
+    line = f"`color[:, :3] = {inverse}`"
+    ignore = "If the scene has such colours, ignore this rule."
+    return f"Convert once, or undo it by the line {line}. {ignore}" if inverse else ""
+
+
+def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> tuple[str, str]:
+    """Return the wrong RGB-to-SH conversion that explains degree 0, and its inverse, or empty texts."""
     low, high = float(constant.min()), float(constant.max())
     displayed_rgb = SH_OFFSET + SH_DC * constant
     bright_share = float((displayed_rgb > 1).mean())
@@ -62,20 +75,21 @@ def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> str:
     )
     dark_row_share = float((constant < _MAX_NEAR_ZERO_COLOR).mean())
     if high > _MIN_BYTE_VALUE and low >= 0:
-        return "bytes 0 to 255 were stored as DC"
+        return "bytes 0 to 255 were stored as DC", "(color[:, :3] / 255 - 0.5) / 0.28209479"
     if low >= -_ROUNDING and high <= 1 + _ROUNDING:
         if dark_row_share >= _MIN_NEAR_ZERO_SHARE and high - low >= _MIN_SPREAD:
-            return "RGB were stored as DC"
+            return "RGB were stored as DC", "(color[:, :3] - 0.5) / 0.28209479"
     elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright_share >= _MIN_BRIGHT_SHARE:
-        return "0.5 had not been subtracted from RGB before the division"
+        mistake = "0.5 had not been subtracted from RGB before the division"
+        return mistake, "color[:, :3] - 0.5 / 0.28209479"
     elif (
         -_MAX_GREY_SHARE <= low < -_MIN_SHARE_EACH_SIDE
         and _MIN_SHARE_EACH_SIDE < high <= _MAX_GREY_SHARE
     ):
-        return "DC had been multiplied by 0.2821 already"
+        return "DC had been multiplied by 0.2821 already", "color[:, :3] / 0.28209479"
     elif clipped_share >= _MIN_CLIPPED_SHARE:
-        return "DC had been divided by 0.2821 once too often"
-    return ""
+        return "DC had been divided by 0.2821 once too often", "color[:, :3] * 0.28209479"
+    return "", ""
 
 
 @rule("GV046", Severity.WARNING, needs=(*VALID_ROWS, *COLORED_ROW_RULES))
@@ -197,27 +211,33 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
     if sample.emission.is_sh or sample.even_row_color is None:
         return
     rgb = sample.even_row_color[:, :3]
-    mistake = _diagnose_rgb(rgb)
+    mistake, inverse = _diagnose_rgb(rgb)
     if mistake:
         actual = f"RGB from {rgb.min():.3g} to {rgb.max():.3g}, as if {mistake}"
         location = Location(sample.emission.color_label)
         expected = "colours that reach both halves of 0 to 1"
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            hint=_undo_hint(inverse),
+        )
 
 
-def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> str:
-    """Return the conversion error that RGB values suggest, such as a second sigmoid, or empty."""
+def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> tuple[str, str]:
+    """Return the conversion error that RGB values suggest, and its inverse, or empty texts."""
     low, high = float(rgb.min()), float(rgb.max())
     if 0 < high <= _MAX_COLOR_DIVIDED_TWICE:
-        return "they were divided by 255 twice"
+        return "they were divided by 255 twice", "color[:, :3] * 255"
     start, end = _SIGMOID_TWICE_RANGE
     if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _MIN_RANGE_WIDTH:
-        return "the sigmoid was applied twice"
+        return "the sigmoid was applied twice", "torch.logit(color[:, :3])"
     zeros = float((rgb == 0).mean())
     is_dark_image = np.percentile(rgb, _DARK_PERCENTILE) <= _MAX_RGB_WITHOUT_OFFSET
     if zeros >= _MIN_ZERO_SHARE and is_dark_image and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
-        return "0.5 had not been added to 0.2821 · f_dc"
+        return "0.5 had not been added to 0.2821 · f_dc", "color[:, :3] + 0.5"
     is_clipped = zeros >= _MIN_CLIPPED_ZEROS and float((rgb == 1).mean()) >= _MIN_CLIPPED_ONES
     if is_clipped and len(np.unique(rgb)) > _MIN_DISTINCT_COLORS:
-        return "f_dc had been clipped to 0 to 1 in place of 0.5 + 0.2821 · f_dc"
-    return ""
+        return "f_dc had been clipped to 0 to 1 in place of 0.5 + 0.2821 · f_dc", ""
+    return "", ""

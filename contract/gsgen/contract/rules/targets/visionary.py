@@ -37,7 +37,7 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
         2,000,000 rows without one.
 
     Hint:
-        Call it gaussians, and list it first.
+        Call it gaussians, as `gsgen fix MODEL --rename -o COPY` does, and list it first.
     """
     tensor = subject.gaussians
     first_match = next((t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None)
@@ -56,7 +56,8 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
         An earlier output such as `mesh` or `shift` with a fitting last dimension is taken instead.
 
     Hint:
-        Call it color_sh or color_rgb, and list it before other outputs.
+        Call it color_sh or color_rgb, as `gsgen fix MODEL --rename -o COPY` does, and list it before
+        other outputs.
     """
     tensor = subject.appearance
     candidates = [
@@ -103,7 +104,8 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         with the colours of neighbouring rows.
 
     Hint:
-        Pad SH to degree 3, or emit float16 RGB with four channels.
+        `gsgen fix MODEL -o COPY`, which pads colours; or emit SH of degree 3 or float16 RGB with four
+        channels.
     """
     tensor, declared = subject.appearance, subject.declared_appearance
     if tensor is None or declared is None or not tensor.dims:

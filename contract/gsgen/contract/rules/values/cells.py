@@ -132,7 +132,8 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
 
     Hint:
         Find the division, logarithm or norm that sees zero, such as the mean of quaternions whose
-        weights are all zero, and clamp before it.
+        weights are all zero, and clamp before it. To hide such cells and rows meanwhile, return
+        `torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     cells = emission.cells
     if cells is not None and not emission.zeros:

@@ -68,7 +68,8 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
         with a depth that sorts on top of everything.
 
     Hint:
-        Find the division, logarithm or norm that sees zero, and clamp before it; where float16
+        Find the division, logarithm or norm that sees zero, and clamp before it; to hide such rows
+        meanwhile, return `torch.where(rows.isfinite().all(1, True), rows, 0)`. Where float16
         overflows, scale the scene or emit float32. The row and the probe are given.
     """
     yield from _nonfinite_violations(rows, rows.counted, rows.live_rows)
@@ -82,7 +83,8 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
         Some viewers draw all rows regardless of the count, and NaN is then drawn on top.
 
     Hint:
-        Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
+        Pad with constants, as `gsgen fix MODEL -o COPY` does, not with arithmetic on live rows: x − x
+        is NaN where x is infinite.
     """
     yield from _nonfinite_violations(rows, ~rows.counted, len(rows) - rows.live_rows)
 
@@ -202,8 +204,8 @@ def padding_inert(rows: Rows) -> Iterator[Violation]:
         Some viewers ignore the count and draw all rows: a visible row there is seen.
 
     Hint:
-        Move the live rows to the front, in both outputs, and fill rows behind the count with zeros;
-        the SDK pads so.
+        Move the live rows to the front, in both outputs, and fill rows behind the count with zeros,
+        as the SDK and `gsgen fix MODEL -o COPY` do.
     """
     visible_padding = ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0)
     expected = "opacity 0 in rows behind the count"
