@@ -189,6 +189,12 @@ def measure_bounds(draft: Draft, _: object) -> None:
     draft.manifest["bounds"] = {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
 
 
+def declare_field(draft: Draft, match: re.Match[str]) -> None:
+    """Write the JSON value that follows a field's name into the entry of the named input."""
+    value, _ = json.JSONDecoder().raw_decode(match.string, match.end())
+    draft.entry()[match["field"]] = value
+
+
 def set_input(**fields: Any) -> Edit:
     """Return an edit that writes fields of the named input; None removes a field."""
 
@@ -453,6 +459,7 @@ def remove_path(draft: Draft, match: re.Match[str]) -> None:
 
 # Words of location, message and hint, and the edit that they ask for; the first match counts.
 MENDS: tuple[tuple[str, Edit], ...] = (
+    (r'^(manifest )?input .*\| Declare "(?P<field>hop|range)": (?=[\[\d][^a-z]*[.,])', declare_field),
     (r"^output .*\b(?:return|by the line)\s+`(?P<line>(color|torch)[^`]*)`[^|]*$", torch_line),
     (r"\| [^|]*\bSet (?P<path>[\w.-]+) to (?=[^|]*$)", set_path),
     (r"\| [^|]*\b[Rr]emove (?P<path>\w+(\.[\w-]+)+)[,.][^|]*$", remove_path),

@@ -27,8 +27,9 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
         One broken frame of a motion flashes once in every loop.
 
     Hint:
-        Guard the division by the distance to the camera, such as max(distance, 1e-8). If a frame is
-        named, look at its part of the table, or at the floor and the clamp of its index.
+        Guard the division by the distance to the camera, such as max(distance, 1e-8), or look at the
+        named frame's part of the table. To hide such rows meanwhile, return
+        `torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     runs = behaviour.moments
     failed_runs = [run for run in runs if run.error or run.not_finite]

@@ -275,7 +275,7 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
 
     Hint:
         End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that.
-        `gsgen rewrite MODEL -o COPY` does so, and replaces Scatter by Where or Gather.
+        `gsgen rewrite MODEL -o COPY` does so, and replaces Scatter.
     """
     graph = subject.graph
     for tensor in graph.outputs:

@@ -95,8 +95,10 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
             )
         elif is_mel and (entry.hop or 0) > (entry.window or 0):
             actual = f"hop {entry.hop} beyond the window {entry.window}"
-            yield _input_violation(entry, actual, "hop <= window, so that no sample is skipped")
+            expected = "hop <= window, so that no sample is skipped"
+            hint = f'Declare "hop": {entry.window}, or a wider window, as the model was trained.'
+            yield _input_violation(entry, actual, expected, hint)
 
 
-def _input_violation(entry: Input, actual: str, expected: str) -> Violation:
-    return Violation.at(f"manifest input {entry.name}", actual, expected)
+def _input_violation(entry: Input, actual: str, expected: str, hint: str = "") -> Violation:
+    return Violation.at(f"manifest input {entry.name}", actual, expected, hint=hint)

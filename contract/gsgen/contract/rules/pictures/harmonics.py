@@ -31,9 +31,9 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
         so they do if each degree is stored by channel.
 
     Hint:
-        Reshape f_rest to [N, 3, K - 1], transpose it to [N, K - 1, 3], and put f_dc in front, as
-        `gsgen fix MODEL --sh-order channel-major -o COPY` does. If the order is right and the scene
-        is unusual, ignore this rule.
+        Transpose f_rest from [N, 3, K - 1] to [N, K - 1, 3], and put f_dc in front, as
+        `gsgen fix MODEL --sh-order channel-major -o COPY` does. If the order is right, ignore this
+        rule.
     """
     color = sample.even_row_color
     if color is None or not sample.emission.is_sh or color.shape[1] < _SH1_CHANNELS:

@@ -1126,8 +1126,8 @@ yield _input_violation$avatar_inputs(entry, actual, "parents first");
 preceding_input_names.add(joint.name);
 }
 }
-function _input_violation$avatar_inputs(entry, actual, expected) {
-return py.violation(`manifest input ${py.str(entry.name)}`, actual, expected);
+function _input_violation$avatar_inputs(entry, actual, expected, hint = "") {
+return py.violation(`manifest input ${py.str(entry.name)}`, actual, expected, undefined, undefined, hint);
 }
 function* blend_weights_in_unit_range$avatar_inputs(subject) {
   let entry, high, low;
@@ -1141,7 +1141,7 @@ yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "wit
 }
 }
 function* sound_described$avatar_inputs(subject) {
-  let actual, declared, entry, is_mel, missing, required_fields, shape;
+  let actual, declared, entry, expected, hint, is_mel, missing, required_fields, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 declared = [...(function* () { for (const name of py.iter(_SOUND_FIELDS$16)) if ((entry[name] != null)) yield name; })()];
 if ((!py.eq(entry.role, "audio"))) {
@@ -1159,7 +1159,9 @@ yield _input_violation$avatar_inputs(entry, `no ${py.str(py.list(missing).join("
 } else {
 if ((py.bool(is_mel) && (py.compare(py.or(entry.hop, () => 0), py.or(entry.window, () => 0)) > 0))) {
 actual = `hop ${py.str(entry.hop)} beyond the window ${py.str(entry.window)}`;
-yield _input_violation$avatar_inputs(entry, actual, "hop <= window, so that no sample is skipped");
+expected = "hop <= window, so that no sample is skipped";
+hint = `Declare "hop": ${py.str(entry.window)}, or a wider window, as the model was trained.`;
+yield _input_violation$avatar_inputs(entry, actual, expected, hint);
 }
 }
 }
@@ -2437,7 +2439,7 @@ export const RULES = [
 {"id": "GG003", "severity": "warning", "hint": "`gsgen rewrite MODEL -o COPY` unrolls loops of fixed length. Compute both branches of an If, and select with Where.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: no_control_flow$graph},
 {"id": "GG010", "severity": "error", "hint": "Draw the numbers before export and store them as weights.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GG025"], check: no_random_operators$repeatability},
 {"id": "GG012", "severity": "error", "hint": "Rename the nodes; name inputs and outputs with letters, digits, dots, slashes and underscores.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: names_are_clean$naming},
-{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. `gsgen rewrite MODEL -o COPY` does so, and replaces Scatter by Where or Gather.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "graph_capture", "needs": ["GG019"], check: outputs_survive_replay$capture},
+{"id": "GG016", "severity": "warning", "hint": "End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. `gsgen rewrite MODEL -o COPY` does so, and replaces Scatter.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "graph_capture", "needs": ["GG019"], check: outputs_survive_replay$capture},
 {"id": "GL002", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "buffer_bytes", "needs": [], check: fits_buffer$limits},
 {"id": "GL001", "severity": "error", "hint": "Use float16, fewer SH degrees or a smaller capacity, or split the model.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "binding_bytes", "needs": ["GL002"], check: fits_binding$limits},
 {"id": "GL003", "severity": "error", "hint": "Lower the capacity, or split the model.", "kinds": ["gaussian-generator"], "target": "", "limit": "workgroups", "needs": ["GO004", "GL001", "GL002"], check: fits_dispatch$limits},
