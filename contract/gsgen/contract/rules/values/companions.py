@@ -113,7 +113,8 @@ def _range_hint(low: float, high: float) -> str:
     """Return the hint to declare the usual range that holds the values; empty if none does."""
     usual = ([0, 1], [-1, 1], [0, 255])
     fitting = [r for r in usual if r[0] - 0.1 <= low and 0.4 * r[1] <= high <= 1.1 * r[1]]
-    return set_hint("outputs.image.range", fitting[0]) if fitting else ""
+    declared = set_hint("outputs.image.range", fitting[0]) if fitting else ""
+    return declared and f"{declared} Or scale the image at its end."
 
 
 # The statistic is the correlation of the result with a picture that has another gradient in each
