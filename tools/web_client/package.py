@@ -31,7 +31,8 @@ def write_package(folder: Path) -> None:
     types = folder / "types"
     compiler = _NPM / "typescript-5.9.3/lib/tsc.js"
     gpu_types = _NPM / "types-0.1.74/dist/index.d.ts"
-    inputs = [*(str(folder / name) for name in ("gsgen.js", "scene.js")), str(gpu_types)]
+    modules = [folder / "gsgen.js", folder / "scene.js", *sorted(folder.glob("engines/*.js"))]
+    inputs = [*map(str, modules), str(gpu_types)]
     command = ["node", str(compiler), *_COMPILER_OPTIONS, "--outDir", str(types), *inputs]
     subprocess.run(command, check=True)
     shutil.copy(_TAGS, types)

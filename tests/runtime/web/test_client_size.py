@@ -25,6 +25,15 @@ def test_the_client_has_few_lines() -> None:
     assert 1000 < sum(text.count("\n") for text in written.values()) <= 9972
 
 
+def test_adapters_of_other_engines_have_few_lines() -> None:
+    texts = [
+        file.read_text("utf-8")
+        for file in _CLIENT.joinpath("engines").iterdir()
+        if file.name.endswith(".js")
+    ]
+    assert 100 < sum(text.count("\n") for text in texts) <= 1000
+
+
 def test_the_element_is_loaded_fast() -> None:
     core = imported_by("gsgen.js")
     assert {"element.js", "matrices.js", "errors.js"} <= core

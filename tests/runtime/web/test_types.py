@@ -22,7 +22,7 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     wrong.write_text('/** @type {GPUDevice} */\nexport const device = "one";\n')
     config = types_folder / "tsconfig.json"
     files = [str(types), str(wrong)]
-    settings = {"extends": str(_OPTIONS), "include": [f"{CLIENT}/*.js"], "files": files}
+    settings = {"extends": str(_OPTIONS), "include": [f"{CLIENT}/**/*.js"], "files": files}
     config.write_text(json.dumps(settings), "utf-8")
     command = ["node", str(compiler), "--project", str(config)]
     result = subprocess.run(

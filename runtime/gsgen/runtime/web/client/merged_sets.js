@@ -1,6 +1,7 @@
 /** Several sets of Gaussians as one in the world, coloured for a camera: three.js sorts only within an object. */
 
 import { eyeOf } from "./camera.js";
+import { harmonics } from "./harmonics.js";
 import { linearPart, normalized, plus, relativeStretch, solve, times } from "./matrices.js";
 import { numbersOf } from "./memory_device.js";
 import { wideningPlane } from "./three_adapter.js";
@@ -56,7 +57,7 @@ export function mergeSets(sets, camera, { rows, appearance }) {
       rows[to + 9] = v * g + w * h + k * i + extra;
       if (degree === null) appearance.set(colors.subarray(stride * row, stride * row + 3), 3 * live);
       else {
-        const weights = harmonics(degree, normalized(times(toSh, [x - eye[0], y - eye[1], z - eye[2]])));
+        const weights = harmonics(normalized(times(toSh, [x - eye[0], y - eye[1], z - eye[2]])));
         for (let part = 0; part < 3; part++) {
           let sum = 0.5;
           for (let index = 0; index < (degree + 1) ** 2; index++) sum += weights[index] * colors[stride * row + 3 * index + part];
@@ -67,24 +68,4 @@ export function mergeSets(sets, camera, { rows, appearance }) {
     }
   }
   return live;
-}
-
-const basis = new Float64Array(16);
-
-/** Return the real spherical harmonics of a direction, in the signs of 3DGS; the array is used again. */
-function harmonics(degree, direction) {
-  const [x, y, z] = direction;
-  basis[0] = 0.28209479177387814;
-  if (degree >= 1) basis.set([-y, z, -x].map((part) => 0.4886025119029199 * part), 1);
-  const [xx, yy, zz] = [x * x, y * y, z * z];
-  if (degree >= 2) {
-    const [C, D, E] = [1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
-    basis.set([C * x * y, -C * y * z, D * (2 * zz - xx - yy), -C * x * z, E * (xx - yy)], 4);
-  }
-  if (degree >= 3) {
-    const [A, B, C, D] = [0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154];
-    basis.set([-A * y * (3 * xx - yy), B * x * y * z, -C * y * (4 * zz - xx - yy), D * z * (2 * zz - 3 * xx - 3 * yy)], 9);
-    basis.set([-C * x * (4 * zz - xx - yy), (B / 2) * z * (xx - yy), -A * x * (xx - 3 * yy)], 13);
-  }
-  return basis;
 }
