@@ -137,8 +137,10 @@ def shown(
 def time_of(path: Path, share: float) -> float:
     """Return a share of the range of a model's time."""
     with FrameSession(path, provider="cpu") as session:
-        [entry] = [entry for entry in session.manifest.inputs if entry.role == "time"]
-    low, high = entry.range or (0, 1)
+        assert isinstance(session.manifest, GeneratorManifest)
+        [(low, high)] = [
+            entry.range or (0, 1) for entry in session.manifest.inputs if entry.role == "time"
+        ]
     return low + share * (high - low)
 
 
@@ -146,8 +148,8 @@ def expected_picture(path: Path, share: float, camera: Camera) -> np.ndarray:
     with FrameSession(path, provider="cpu") as session:
         manifest = session.manifest
         assert isinstance(manifest, GeneratorManifest)
-        [entry] = [entry for entry in manifest.inputs if entry.role == "time"]
-        outputs = session.run({entry.name: time_of(path, share)}, copy=True)
+        [name] = [entry.name for entry in manifest.inputs if entry.role == "time"]
+        outputs = session.run({name: time_of(path, share)}, copy=True)
         return python_picture(scene_of(manifest, {name: outputs[name] for name in outputs}), camera)
 
 
@@ -157,7 +159,7 @@ def test_frames_are_as_good_as_the_baked_file_and_never_stale(
     engine: str, family: str, shown: Shown, models: dict[str, Path]
 ) -> None:
     shown.open(family, engine)
-    pictures = []
+    pictures: list[np.ndarray] = []
     for share in _SHARES:
         name = f"{engine}-{family}-{share}"
         # The first picture after the time has moved shows the new frame, in the order of an old one.

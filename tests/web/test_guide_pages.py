@@ -1,4 +1,4 @@
-"""Four pages whose lines are copied from the guide: in each a person walks.
+"""Pages whose lines are copied from the guide, and its example for three.js: in each a person walks.
 
 Pictures of three times are written to the folder `pages` of pytest's temporary files.
 """
@@ -18,6 +18,7 @@ from PIL import Image
 from gsgen.runtime.scene.frame import psnr
 from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import launched, require_chromium, serving
+from support.commands import ROOT
 from support.web.guide import LINES
 from support.web.packages import package, require_node
 from support.web.pages import CLIENT, chromium
@@ -27,20 +28,20 @@ from web_client.package import pack
 pytestmark = pytest.mark.slow
 
 _HEAD = '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>Walking</title>\n'
-_STYLE = "<style>body { margin: 0 } gsgen-model { width: 320px; height: 240px } canvas { width: 320px; height: 240px }</style>\n"
+_STYLE = "<style>body { margin: 0 } gsgen-model { width: 320px; height: 240px }</style>\n"
 
 
 @pytest.fixture(scope="module")
 def contents(
     ort_folder: Path, walking_person: bytes, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, bytes]:
-    """Return the four pages, and the files beside them."""
+    """Return the pages, and the files beside them."""
     served = {f"/gsgen/ort/{name}": (ort_folder / name).read_bytes() for name in ORT_FILES}
     served["/walk.onnx"] = walking_person
     served["/article.html"] = (
         f"{_HEAD}{_STYLE}<p>Before.</p>{LINES['article']}<p>After.</p>".encode()
     )
-    served["/three.html"] = f"{_HEAD}{_STYLE}{LINES['three']}".encode()
+    served["/three.html"] = (ROOT / "docs/examples/three/frames.html").read_bytes()
     served["/without-webgpu.html"] = (
         f"{_HEAD}{LINES['without-webgpu']}{_STYLE}{LINES['article']}".encode()
     )
