@@ -1,4 +1,4 @@
-"""Pages whose lines are copied from the guide, and its example for three.js: in each a person walks.
+"""Pages whose lines are copied from the guide, and a page of three.js: in each a person walks.
 
 Pictures of three times are written to the folder `pages` of pytest's temporary files.
 """
@@ -41,7 +41,7 @@ def contents(
     served["/article.html"] = (
         f"{_HEAD}{_STYLE}<p>Before.</p>{LINES['article']}<p>After.</p>".encode()
     )
-    served["/three.html"] = (ROOT / "docs/examples/three/frames.html").read_bytes()
+    served["/three.html"] = (ROOT / "docs/examples/three/walk.html").read_bytes()
     served["/without-webgpu.html"] = (
         f"{_HEAD}{LINES['without-webgpu']}{_STYLE}{LINES['article']}".encode()
     )
