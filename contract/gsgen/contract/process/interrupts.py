@@ -7,10 +7,18 @@ drafts and ending its children, and do nothing at all to the first process of a 
 raise a KeyboardInterrupt, too.
 """
 
-__all__ = ["ENDING_SIGNALS", "InterruptHandler", "Terminated", "end_on_interrupt"]
+__all__ = [
+    "ENDING_SIGNALS",
+    "InterruptHandler",
+    "OutOfTime",
+    "Terminated",
+    "end_on_interrupt",
+    "time_limit",
+]
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,6 +43,53 @@ ENDING_SIGNALS: Final[frozenset[int]] = frozenset(
 
 class Terminated(KeyboardInterrupt):
     """Raised in the main thread at SIGTERM and SIGHUP: the system asks the process to end."""
+
+
+class OutOfTime(KeyboardInterrupt):
+    """Raised in the main thread when the time of :func:`time_limit` is over.
+
+    Who goes on with a part of the work cancels ``guard``, which ends the process otherwise.
+    """
+
+    def __init__(self, seconds: float, guard: threading.Timer) -> None:
+        super().__init__(f"out of time after {seconds:g} s (--timeout)")
+        self.guard = guard
+
+
+@contextmanager
+def time_limit(seconds: float | None, late_message: str) -> Iterator[None]:
+    """Raise OutOfTime once in a block that takes longer.
+
+    A block that does not end within the grace time, such as one call into C++, ends the process
+    with exit code 1: its drafts are removed, and ``late_message`` is printed. Windows has no alarms,
+    so there every block ends in this way.
+
+    Args:
+        seconds: Time of the clock; no limit if absent, or outside of the main thread.
+        late_message: A line for standard error.
+    """
+    if seconds is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    arguments = (ExitCode.FAILURE, f"{late_message}\n")
+    guard = threading.Timer(seconds + _GRACE_SECONDS, _end_process, arguments)
+    guard.daemon = True
+
+    def raise_out_of_time(number: int, frame: FrameType | None) -> None:
+        raise OutOfTime(seconds, guard)
+
+    has_alarms = hasattr(signal, "setitimer")
+    if has_alarms:
+        previous_handler = signal.signal(signal.SIGALRM, raise_out_of_time)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+    guard.start()
+    try:
+        yield
+    finally:
+        guard.cancel()
+        if has_alarms:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, previous_handler)
 
 
 @final
@@ -119,6 +174,8 @@ def _watch_signals(read_end: int, interrupts: InterruptHandler, seconds: float) 
             end.start()
 
 
-def _end_process(exit_code: int) -> None:
+def _end_process(exit_code: int, message: str = "") -> None:
     remove_own_drafts()
+    sys.stderr.write(message)
+    sys.stderr.flush()
     os._exit(exit_code)

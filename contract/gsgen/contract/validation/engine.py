@@ -26,6 +26,7 @@ from gsgen.contract.probing.run_comparison import (
     read_behaviour,
 )
 from gsgen.contract.probing.sandbox import Run, execute
+from gsgen.contract.process.interrupts import OutOfTime
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
 from gsgen.contract.validation.finding import Finding, Violation
@@ -94,6 +95,7 @@ class _Validation:
             registry=self.registry, settings=settings, kind=self.subject.kind
         )
         self.levels = [LevelOutcome(level=Level.STATIC, ran=True)]
+        self.finished_level = Level.STATIC
         self.probes: tuple[str, ...] = ()
         self.moments: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
@@ -103,7 +105,11 @@ class _Validation:
     def report(self) -> Report:
         """Run the validation stages up to the requested level, and return the report."""
         self._check_model()
-        self._check_runs()
+        try:
+            self._check_runs()
+        except OutOfTime as error:
+            error.guard.cancel()
+            self._leave_unfinished_levels(f"not checked: {error}")
         self._settle_remaining_levels()
         self.results.withdraw_predictions()
         self.results.withdraw_consequences()
@@ -202,8 +208,10 @@ class _Validation:
             if self.results.outcomes[MODEL_RUNS].status == "pass":
                 self.progress("checking values")
                 self._check_values(probe_runs)
+                self.finished_level = Level.VALUES
                 if level >= Level.BEHAVIOUR:
                     self._check_behaviour(probe_runs)
+                    self.finished_level = Level.BEHAVIOUR
                 self._check_backend_levels(probe_runs)
 
     def _require_runnable_level(self, prerequisite_rules: list[Rule]) -> bool:
@@ -356,6 +364,7 @@ class _Validation:
                     probe_runs,
                     _in_dependency_order(self._rules_of_scope(scope, max_level=level)),
                 )
+                self.finished_level = level
 
     def _check_with_backend(
         self, backend: LevelBackend, probe_runs: ProbeRuns, rules: list[Rule]
@@ -387,6 +396,15 @@ class _Validation:
                 elif self.results.is_ready(rule):
                     self.results.check(rule, context.context)
                     self.results.settle([rule], items=context.items)
+
+    def _leave_unfinished_levels(self, reason: str) -> None:
+        """Mark every level above the finished one as not run, with its rules that have no outcome."""
+        self.levels = [entry for entry in self.levels if entry.level <= self.finished_level]
+        for level in Level:
+            if self.finished_level < level <= self.settings.level:
+                self.levels.append(LevelOutcome(level=level, ran=False, reason=reason))
+                rules = [r for r in self.registry.rules.values() if r.level is level]
+                self.results.skip([rule for rule in rules if rule.scope != "report"], reason)
 
     def _settle_remaining_levels(self) -> None:
         """Mark every validation rule and level that was not executed as skipped."""

@@ -219,15 +219,28 @@ def check_contract(draft: Path, options: ExportOptions, *, must_conform: bool = 
     Raises:
         ExportRejected: The model breaks a rule; the error carries the report.
     """
+    from gsgen.contract.process.interrupts import OutOfTime
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target
+    from gsgen.contract.validation.report import LevelOutcome
     from gsgen.contract.validation.settings import Settings
     from gsgen.contract.validator import validate
     from gsgen.sdk.errors import ExportRejected
 
     base = options.settings or Settings(level=Level.BEHAVIOUR)
     settings = replace(base, target=load_target(options.target))
-    report = replace(validate(draft, settings, progress=options.progress), path=str(options.path))
+    try:
+        report = validate(draft, settings, progress=options.progress)
+    except OutOfTime as error:  # before its first run, which a validation goes on without
+        error.guard.cancel()
+        report = validate(draft, replace(settings, level=Level.STATIC))
+        left_out = [level for level in Level if Level.STATIC < level <= settings.level]
+        outcomes = [
+            LevelOutcome(level=level, ran=False, reason=f"not checked: {error}")
+            for level in left_out
+        ]
+        report = replace(report, levels=(*report.levels, *outcomes))
+    report = replace(report, path=str(options.path))
     if must_conform and report.verdict != "conforms":
         errors = [f for f in report.findings if f.severity >= Severity.ERROR]
         message = "; ".join(

@@ -25,6 +25,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     Exits with code 1 if no conforming model can be exported.
     """
     from gsgen.cli.commands.exporting.export_report import ExportOutcome, emit_report
+    from gsgen.contract.process.interrupts import OutOfTime, time_limit
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -36,9 +37,20 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
     level_faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     clock = StageClock(progress)
+    late_message = (
+        f"gsgen: out of time after {request.timeout or 0:g} s (--timeout), within one call into C++\n"
+        f"gsgen: {request.output} was not written"
+    )
     try:
-        with _collected_warnings() as warning_notes:
-            result = _run_export_job(build, request, clock)
+        with _collected_warnings() as warning_notes, time_limit(request.timeout, late_message):
+            try:
+                result = _run_export_job(build, request, clock)
+            except OutOfTime as error:
+                stages = clock.stages()
+                stage_name = stages[-1].name if stages else "building the generator"
+                spent = ", ".join(f"{stage.name} {stage.cpu_seconds:.0f} CPU-s" for stage in stages)
+                hint = f"Give more with --timeout. Used: {spent or 'nothing'}."
+                raise ExportFailed(f"{error}, {stage_name}", hint=hint) from error
     except level_faults as error:
         clear()
         outcome = ExportOutcome(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from gsgen.cli.options import Timeout, complete_levels, complete_targets
+from gsgen.cli.options import complete_levels, complete_targets
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET, VECTOR_COUNT
@@ -36,7 +36,7 @@ class ExportRequest:
     vectors: int = VECTOR_COUNT  # test vectors with rows of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     skip: tuple[str, ...] = ()  # passes that are left out of the rewriting
-    timeout: float | None = None  # seconds for all runs of the model; the usual limit if absent
+    timeout: float | None = None  # seconds for the export, and for runs of the model; 120 for these
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
     as_json: bool = False  # whether to print that report instead of text
 
@@ -128,7 +128,15 @@ def _request(
             help="Leave this pass out of the rewriting; repeatable. `gsgen rewrite --list` has them.",
         ),
     ] = None,
-    timeout: Timeout = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            help="Time limit for the whole export, in seconds; a model that agrees with torch by then "
+            "is written.",
+            show_default="none; 120 for all runs of the model",
+            min=0.1,
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="Write a report on the export to this file, as JSON.")
     ] = None,
