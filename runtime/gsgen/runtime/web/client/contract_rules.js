@@ -839,10 +839,10 @@ return;
 location = `input ${py.str(tensor.name)}`;
 dims = static_dims$graph(tensor);
 if ((dims == null)) {
-if ((py.eq(kind, "gaussian-generator"))) {
+if ((!py.eq(kind, "post-process"))) {
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, "a static shape");
 } else {
-if (((py.eq(kind, "post-process")) && !py.bool(_is_open_image$inputs(tensor, role)))) {
+if (!py.bool(_is_open_image$inputs(tensor, role))) {
 shapes = _shapes_text$inputs(py.item(ROLES$3, role), kind);
 expected = `${py.str(shapes)}, channels first; only height and width may be open, not the batch`;
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, expected);
