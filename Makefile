@@ -147,6 +147,7 @@ docs: setup
 	$(INSTALL) --group docs
 	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
+	$(BIN)/python scripts/name_files.py site
 	$(BIN)/python scripts/write_live.py site
 
 wheel: setup

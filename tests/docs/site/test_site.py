@@ -1,6 +1,7 @@
 """The built site in a real browser: it fits a phone, and is readable, linked and searchable."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -119,6 +120,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [sys.executable, "-c", _ZENSICAL, "build", "--clean"]
     completed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
     assert completed.returncode == 0, completed.stdout + completed.stderr
+    subprocess.run([sys.executable, ROOT / "scripts/name_files.py", folder / "site"], check=True)
     return folder / "site"
 
 
@@ -212,6 +214,18 @@ def test_no_link_of_the_site_is_broken(measured: dict[str, dict[str, Any]], site
             if anchor and known is not None and anchor not in known:
                 broken.add((name, link))
     assert broken == set()
+
+
+def test_a_code_block_shows_the_name_of_its_file(site: Path) -> None:
+    """As the comment in front of it gives it, which the browser does not show."""
+    for page in (ROOT / "docs" / "guides").glob("*.md"):
+        marked = re.findall(
+            r"^<!-- (?:test|family|example|lgm): ([\w./-]+\.\w+) -->$",
+            page.read_text("utf-8"),
+            re.M,
+        )
+        html = (site / "guides" / page.stem / "index.html").read_text("utf-8")
+        assert re.findall(r'<span class="filename">(.*?)</span>', html) == marked, page.stem
 
 
 def test_the_search_finds_the_terms_of_the_field(site: Path, browser: Any) -> None:
