@@ -247,6 +247,14 @@ def test_a_fault_of_paths_is_noticed(name: str, tmp_path: Path) -> None:
     assert "GB062" in findings(PATH_FAULTS[name], tmp_path)
 
 
+@pytest.mark.parametrize("span", [(5.0, 5.0), (2.0**20, 2.0**20 + 1)])
+def test_steps_that_float32_does_not_tell_are_not_judged(
+    span: tuple[float, float], tmp_path: Path
+) -> None:
+    model = predictor(ON, ON).edit_manifest(lambda fields: fields["inputs"][0].update(range=span))
+    assert "GB062" not in findings(model, tmp_path)
+
+
 @pytest.mark.parametrize("name", RIGHT_PATHS)
 def test_right_predictors_pass(name: str, tmp_path: Path) -> None:
     assert not findings(RIGHT_PATHS[name], tmp_path)
