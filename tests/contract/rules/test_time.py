@@ -123,3 +123,25 @@ def test_births_fade(name: str, frames: int, fps: float, tmp_path: Path) -> None
         .with_weights(born=born.astype(np.float32), frames=f32(frames), one=f32(1), none=f32(0))
     )
     assert ("GB073" in rules_broken_by(model, tmp_path)) is pops
+
+
+@pytest.mark.parametrize(("cut", "pops"), [(60, False), (20, True)])
+def test_a_cut_is_no_birth(cut: int, pops: bool, tmp_path: Path) -> None:
+    """Some of 60 moving rows are exchanged for others at once, in the middle of the clip."""
+    body = "late = Less (half, time) flags = Cast <to = 1> (late) turned = Mul (flags, change) "
+    body += "factor = Add (start, turned) seen = Mul (opacity, factor)"
+    change = np.where(np.arange(60) < cut, np.where(np.arange(60) % 2, 1, -1), 0)[:, None]
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=30, fps=24.0)
+    model = (
+        drifting_model(60)
+        .replace_text(SHIFT_NODE, f"{body} {SHIFT_NODE}")
+        .replace_text("(moved, opacity, spread)", "(moved, seen, spread)")
+        .with_manifest(inputs=(time,))
+        .with_outputs(count=CountOutput("num_points", "upper-bound"))
+        .with_weights(
+            half=f32(0.499),
+            change=change.astype(np.float32),
+            start=(change <= 0).astype(np.float32),
+        )
+    )
+    assert ("GB073" in rules_broken_by(model, tmp_path)) is pops

@@ -32,6 +32,8 @@ _MAX_POP_FRACTION = 0.1
 _MIN_POP_OPACITY, _FADING_FPS, _FADING_FPS_AROUND = 0.6, 30.0, 60.0
 # Narrow windows of trained scenes may rise so fast, a few at a time: at most this share of drawn rows.
 _MAX_POPPING_SHARE = 1e-3
+# More than this share at once is a cut, in which a clip goes on elsewhere.
+_MIN_CUT_SHARE = 0.5
 
 
 def _float_outputs(run: ProbeRun) -> dict[str, np.ndarray]:
@@ -146,7 +148,7 @@ def births_fade(behaviour: Behaviour) -> Iterator[Violation]:
         drawn = int(np.count_nonzero(high >= CULL_OPACITY))
         popping = (low < CULL_OPACITY) & (high > _MIN_POP_OPACITY)
         count = int(np.count_nonzero(popping))
-        if count > _MAX_POPPING_SHARE * drawn:
+        if _MAX_POPPING_SHARE * drawn < count <= _MIN_CUT_SHARE * drawn:
             actual = (
                 f"{count} of {drawn} drawn rows appear or disappear within 1/60 s, "
                 f"{second_run.probe.label!r}, row {int(popping.argmax())} first, whose opacity is "
