@@ -288,9 +288,8 @@ const isInteger = (m, input) => m.graph.inputs.get(input.name).dtype === DTYPE.i
 rule('GI013', 'error', {kinds: ALL, needs: ['GM004']}, (m) => inputs(m, (input) => { // M20.1
   if (!input.range) return undefined;
   if (!(input.range[0] <= input.range[1])) return `${input.name}: [${input.range}]`;
-  if (isInteger(m, input) && !input.range.every(Number.isInteger)) return `${input.name}: [${input.range}] of integers`;
-  const most = isInteger(m, input) ? 2 ** 53 : 3.4028234663852886e38;
-  return input.range.every((end) => Math.abs(end) <= most) ? undefined : `${input.name}: [${input.range}] beyond its type`;
+  const fits = isInteger(m, input) ? (end) => end === (end | 0) : (end) => Math.abs(end) <= 3.4028234663852886e38;
+  return input.range.every(fits) ? undefined : `${input.name}: [${input.range}] beyond its type`;
 }));
 
 const CONVENTIONS = { // R11 to R20, R28 to R31

@@ -9,6 +9,7 @@ import pytest
 
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.rules.interface.avatar_inputs import blend_weights_in_unit_range
+from gsgen.contract.rules.interface.input_declarations import frames_fit_range, input_range_ordered
 from gsgen.contract.rules.targets.visionary_drawing import visionary_fades_small
 from gsgen.contract.spec.manifest import Bounds, Input
 
@@ -43,3 +44,45 @@ def test_gaussians_below_a_third_of_a_pixel_fade(sigma: float, fades: bool) -> N
     (violation,) = visionary_fades_small.check(cast(Rows, rows))
     assert violation.invalid_rows is not None
     assert violation.invalid_rows.tolist() == [fades] * 8
+
+
+@pytest.mark.parametrize(
+    ("dtype", "range", "count"),
+    [
+        ("int32", (-(2.0**31), 2.0**31 - 1), 0),
+        ("int32", (0.0, 2.0**31), 1),
+        ("int32", (-(2.0**31) - 1, 0.0), 1),
+        ("int32", (0.0, 7.5), 1),
+        ("float32", (0.0, 7.5), 0),
+        ("float32", (-3.4e38, 3.4e38), 0),
+        ("float32", (0.0, 3.5e38), 1),
+    ],
+)
+def test_ranges_are_numbers_of_the_inputs_type(
+    dtype: str, range: tuple[float, float], count: int
+) -> None:
+    entry = Input(name="tokens", role="condition", range=range)
+    graph = SimpleNamespace(input=lambda name: SimpleNamespace(dtype=dtype))
+    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=(entry,)), graph=graph)
+    assert len(list(input_range_ordered.check(cast(Any, subject)))) == count
+
+
+@pytest.mark.parametrize(
+    ("range", "frames", "count"),
+    [
+        ((0.0, 0.0), 1, 0),
+        ((5.0, 5.0), 1, 0),
+        ((5.0, 5.0), 2, 1),
+        ((1.7e9, 1.7e9 + 100), 1, 0),
+        ((1.7e9, 1.7e9 + 512), 2, 0),
+        ((1.7e9, 1.7e9 + 512), 3, 1),
+        ((0.0, 1.0), 2**23, 0),
+        ((-1.0, 0.0), 2**23 + 1, 1),
+    ],
+)
+def test_frames_of_a_time_begin_at_different_numbers(
+    range: tuple[float, float], frames: int, count: int
+) -> None:
+    entry = Input(name="time", role="time", range=range, frames=frames)
+    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=(entry,)))
+    assert len(list(frames_fit_range.check(cast(Any, subject)))) == count

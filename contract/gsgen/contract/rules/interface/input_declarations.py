@@ -28,10 +28,10 @@ _AXIS_ANGLE = 3
 _FULL_TURN_RADIANS = 6.3
 # The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
-# Numbers of float32 from 1 to 2, and the largest numbers: of float32, and whole in JSON.
+# Numbers of float32 from 1 to 2, and the numbers from the lowest to the highest of each type.
 _FLOAT32_STEPS = 2**23
 _MAX_FLOAT32 = 3.4028234663852886e38
-_MAX_WHOLE_NUMBER = 2**53
+_NUMBERS = {"int32": (-(2**31), 2**31 - 1), "float32": (-_MAX_FLOAT32, _MAX_FLOAT32)}
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
 _USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
@@ -70,17 +70,18 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     for entry in declared_inputs(subject):
         if entry.range is None:
             continue
-        low, high = entry.range
+        (low, high), tensor = entry.range, subject.graph.input(entry.name)
         actual = f"range {[low, high]}"
+        dtype = (tensor.dtype if tensor else None) or "float32"
+        lowest, highest = _NUMBERS.get(dtype, _NUMBERS["float32"])
+        is_whole = ROLES[entry.role].index or dtype == "int32"
         if not low <= high:
             yield Violation.at(_input_location(entry), actual, "low <= high")
-        elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
+        elif is_whole and not (low.is_integer() and high.is_integer()):
             yield Violation.at(_input_location(entry), actual, "whole numbers")
-        else:
-            most = _MAX_WHOLE_NUMBER if ROLES[entry.role].index else _MAX_FLOAT32
-            if max(abs(low), abs(high)) > most:
-                expected = f"numbers of the input's type, within ±{most:g}"
-                yield Violation.at(_input_location(entry), actual, expected)
+        elif low < lowest or high > highest:
+            expected = f"numbers of {dtype}, from {lowest:.10g} to {highest:.10g}"
+            yield Violation.at(_input_location(entry), actual, expected)
 
 
 @rule(
@@ -223,11 +224,10 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
         low, high = entry.range
         if entry.role == "frame_index":
             numbers = int(high - low) + 1
-        elif low == high:
-            numbers = 1
         else:
             # At x, neighbouring numbers of float32 are at most |x| · 2⁻²³ apart.
-            numbers = int((high - low) / max(abs(low), abs(high)) * _FLOAT32_STEPS)
+            size = max(abs(low), abs(high)) or 1.0
+            numbers = max(1, int((high - low) / size * _FLOAT32_STEPS))
         if entry.frames > numbers:
             actual = f"{entry.frames} frames in the range {list(entry.range)}"
             yield Violation.at(_input_location(entry), actual, f"{numbers} distinct frames at most")
