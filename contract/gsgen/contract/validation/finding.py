@@ -27,7 +27,7 @@ Certainty = Literal["confirmed", "possible"]
 
 def set_hint(path: str, value: object) -> str:
     """Return the hint to write a value, as JSON, at a manifest path such as ``inputs.0.range``."""
-    return f"Set {path} to {json.dumps(value)}."
+    return f"Set {path} to {json.dumps(value, ensure_ascii=False)}."
 
 
 def remove_hint(path: str, alternative: str) -> str:

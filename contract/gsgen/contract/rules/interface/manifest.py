@@ -16,6 +16,8 @@ from gsgen.contract.validation.rule import rule
 
 # A manifest names its kind within so many characters.
 _MANIFEST_OPENING = 1 << 16
+# What a manifest may lack; other outputs are required.
+_OPTIONAL_PATHS = ("inputs.", "outputs.count", "outputs.cells")
 _BAKED_INPUT_HINT = (
     "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round "
     "trips, `.item()`, Python branches), or remove"
@@ -129,9 +131,12 @@ def _name_faults(
     """Yield the declared names (with their paths) that the graph lacks, or that are repeated."""
     names = [name for _, name in declared]
     free = [name for name in known if name not in names]
+    faults = [n for i, n in enumerate(names) if n not in known or n in names[:i]]
     for index, (path, name) in enumerate(declared):
         paths = [p for p, n in declared if n == name and p.endswith(f".{free[0]}")] if free else []
-        hint = set_hint(f"{[*paths, path][0]}.name", free[0]) if len(free) == 1 else ""
+        # One name is left for one fault: of several faults, it may mend any.
+        is_clear = len(free) == len(faults) == 1
+        hint = set_hint(f"{[*paths, path][0]}.name", free[0]) if is_clear else ""
         if name not in known:
             expected = _one_of_names_text(known)
             hint = f"{_BAKED_INPUT_HINT} {path}." if kind == "input" and not free else hint
@@ -140,7 +145,8 @@ def _name_faults(
             )
         elif name in names[:index]:
             where, expected = f"manifest name {name!r}", "one role per tensor"
-            hint = hint or remove_hint(path, "name the tensor that is meant")
+            if not hint and path.startswith(_OPTIONAL_PATHS):
+                hint = remove_hint(path, "name the tensor that is meant")
             yield Violation.at(where, "declared more than once", expected, hint=hint)
 
 

@@ -36,19 +36,19 @@ def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
         if not _sizes_agree(input_image, tensor, declared.scale):
             times = "" if declared.scale == 1 else f"{declared.scale} times the size of "
             expected = f"{times}{input_image}, as {input_image.name} has, with 3 or 4 channels"
-            hint = _scale_hint(input_image, tensor)
+            hint = _scale_hint(input_image, tensor, declared.scale)
             yield Violation.at(location, f"shape {tensor}", expected, hint=hint)
 
 
-def _scale_hint(input_image: Tensor, output_image: Tensor) -> str:
-    """Return the hint to declare the scale of the graph; empty if it has none."""
+def _scale_hint(input_image: Tensor, output_image: Tensor, declared: int) -> str:
+    """Return the hint to declare the scale of the graph; empty if it has none, or is declared."""
     sizes = (*(input_image.dims or ())[2:], *(output_image.dims or ())[2:])
     known = [size for size in sizes if isinstance(size, int)]
     if len(known) < 4 or not known[0] or not known[1]:
         return ""
     scale = known[2] // known[0]
     is_whole = scale >= 1 and known[2:] == [scale * known[0], scale * known[1]]
-    return set_hint("outputs.image.scale", scale) if is_whole else ""
+    return set_hint("outputs.image.scale", scale) if is_whole and scale != declared else ""
 
 
 def _image(
@@ -87,28 +87,38 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
         return
     future, uncertainty_output = manifest.outputs.future, manifest.outputs.uncertainty
     state, graph = STATE_SIZES[future.representation], subject.graph
-    doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(
-        uncertainty_output.semantics, state
-    )
+    doubt_size = _doubt_sizes(state)[uncertainty_output.semantics]
     for name, expected in ((future.name, state), (uncertainty_output.name, doubt_size)):
-        hint = _states_hint(graph.output(name), future.steps, state, is_future=name == future.name)
+        hint = _states_hint(subject, manifest, is_future=name == future.name)
         yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected), hint)
     for entry, tensor in subject.inputs_of("camera_history"):
         yield from _check_size(tensor, f"input {entry.name}", (None, state))
 
 
-def _states_hint(tensor: Tensor | None, steps: int, state: int, *, is_future: bool) -> str:
+def _states_hint(subject: InspectedModel, manifest: TrajectoryManifest, *, is_future: bool) -> str:
     """Return the hint to declare what a predicted tensor is; empty if nothing explains it."""
-    if tensor is None or tensor.dims is None or len(tensor.dims) != 2:
+    future, uncertainty = manifest.outputs.future, manifest.outputs.uncertainty
+    tensors = [subject.graph.output(part.name) for part in (future, uncertainty)]
+    shapes = [tensor.dims or () if tensor else () for tensor in tensors]
+    if any(len(shape) != 2 for shape in shapes):
         return ""
-    rows, size = tensor.dims
-    if isinstance(rows, int) and rows != steps:
-        return set_hint("outputs.future.steps", rows)
-    if is_future:
-        names = [name for name in STATE_SIZES if STATE_SIZES[name] == size]
-        return set_hint("outputs.future.representation", names[0]) if len(names) == 1 else ""
-    meaning = "standard-deviation" if size == state else "covariance-upper"
-    return set_hint("outputs.uncertainty.semantics", meaning)
+    rows, size = shapes[0 if is_future else 1]
+    if isinstance(rows, int) and rows != future.steps:
+        # Of two tensors with unequal rows, one is wrong itself.
+        is_same = shapes[0][0] == shapes[1][0]
+        return set_hint("outputs.future.steps", rows) if is_same else ""
+    state = STATE_SIZES[future.representation]
+    field, declared, sizes = (
+        ("future.representation", future.representation, STATE_SIZES)
+        if is_future
+        else ("uncertainty.semantics", uncertainty.semantics, _doubt_sizes(state))
+    )
+    fitting = [name for name in sizes if sizes[name] == size != sizes[declared]]
+    return set_hint(f"outputs.{field}", fitting[0]) if fitting else ""
+
+
+def _doubt_sizes(state: int) -> dict[str, int]:
+    return {"standard-deviation": state, "covariance-upper": state * (state + 1) // 2}
 
 
 def _check_size(

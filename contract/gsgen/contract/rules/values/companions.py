@@ -105,16 +105,17 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
         min_value, max_value = min(v.min() for v in images), max(v.max() for v in images)
         actual = f"values from {min_value:.3g} to {max_value:.3g}"
         expected = f"the declared range {[low, high]}"
-        hint = _range_hint(float(min_value), float(max_value))
+        hint = _range_hint(float(min_value), float(max_value), [low, high])
         yield Violation.at(f"output {name}", actual, expected, certainty="possible", hint=hint)
 
 
-def _range_hint(low: float, high: float) -> str:
-    """Return the hint to declare the usual range that holds the values; empty if none does."""
+def _range_hint(low: float, high: float, declared: list[float]) -> str:
+    """Return the hint to declare the usual range of the values; empty without, or if declared."""
     usual = ([0, 1], [-1, 1], [0, 255])
     fitting = [r for r in usual if r[0] - 0.1 <= low and 0.4 * r[1] <= high <= 1.1 * r[1]]
-    declared = set_hint("outputs.image.range", fitting[0]) if fitting else ""
-    return declared and f"{declared} Or scale the image at its end."
+    if not fitting or fitting[0] == declared:
+        return ""
+    return f"{set_hint('outputs.image.range', fitting[0])} Or scale the image at its end."
 
 
 # The statistic is the correlation of the result with a picture that has another gradient in each

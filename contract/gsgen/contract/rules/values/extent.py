@@ -227,5 +227,11 @@ def bounds_fit_content(probe_runs: ProbeRuns) -> Iterator[Violation]:
     if 0 < content < np.inf and diagonal > _MAX_BOUNDS_RATIO * content:
         actual = f"a diagonal of {diagonal:.4g}, {diagonal / content:.3g} times the Gaussians'"
         expected = f"at most {_MAX_BOUNDS_RATIO:g} times their {content:.4g}"
-        corners = {"min": low.round(6).tolist(), "max": high.round(6).tolist()}
+        # Rounded outwards to four digits behind the first one of the content's size.
+        digits = 4 - int(np.floor(np.log10(content)))
+        ends = np.floor(low * 10.0**digits), np.ceil(high * 10.0**digits)
+        corners = {
+            name: (end / 10.0**digits).tolist()
+            for name, end in zip(("min", "max"), ends, strict=True)
+        }
         yield Violation.at("manifest bounds", actual, expected, hint=set_hint("bounds", corners))
