@@ -42,9 +42,11 @@ _EIGENVALUE_SLACK = 1e-5
 # The mean dot product of the newest state and the first prediction: above 0.9 in the right order of
 # numbers, −0.3 to 0.5 in another.
 _MIN_ORDER_MARGIN = 0.3
-# The largest drift of a predicted state, relative to the size of the coordinates; and that of the
-# part which rests where the other one moves: networks leave a little, wrong formulas 0.05 or more.
-_MAX_REST_POSE_DRIFT, _MAX_CROSS_DRIFT = 2e-3, 0.02
+# The largest drift of a predicted state, relative to the size of the coordinates.
+_MAX_REST_POSE_DRIFT = 2e-3
+# The same of places where only the rotation moves, and of rotations where only the place does:
+# networks leave a little.
+_MAX_CROSS_DRIFT = 0.02
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))

@@ -28,10 +28,9 @@ _AXIS_ANGLE = 3
 _FULL_TURN_RADIANS = 6.3
 # The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
-# Numbers of float32 from 1 to 2, and the numbers from the lowest to the highest of each type.
+# Numbers of float32 from 1 to 2, and the largest numbers of float32 and int32.
 _FLOAT32_STEPS = 2**23
-_MAX_FLOAT32 = 3.4028234663852886e38
-_NUMBERS = {"int32": (-(2**31), 2**31 - 1), "float32": (-_MAX_FLOAT32, _MAX_FLOAT32)}
+_MAX_FLOAT32, _MAX_INT32 = 3.4028234663852886e38, 2**31 - 1
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
 _USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
@@ -73,8 +72,11 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
         (low, high), tensor = entry.range, subject.graph.input(entry.name)
         actual = f"range {[low, high]}"
         dtype = (tensor.dtype if tensor else None) or "float32"
-        lowest, highest = _NUMBERS.get(dtype, _NUMBERS["float32"])
-        is_whole = ROLES[entry.role].index or dtype == "int32"
+        is_int32 = dtype == "int32"
+        lowest, highest = (
+            (-_MAX_INT32 - 1, _MAX_INT32) if is_int32 else (-_MAX_FLOAT32, _MAX_FLOAT32)
+        )
+        is_whole = ROLES[entry.role].index or is_int32
         if not low <= high:
             yield Violation.at(_input_location(entry), actual, "low <= high")
         elif is_whole and not (low.is_integer() and high.is_integer()):
