@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
 from gsgen.conformance.fixtures.builders.scenes import Kind, model_of_gaussians, pack, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
@@ -14,6 +15,8 @@ from gsgen.contract.rules.behaviour.coverage_pictures import Lens, draw_coverage
 from gsgen.contract.spec.geometry import COVARIANCE_INDEX, look_at
 from gsgen.contract.spec.layout import DecodedGaussians
 from gsgen.contract.spec.manifest import CountOutput, Input
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
 _ROWS = 360
@@ -226,3 +229,14 @@ def test_levels_of_detail_that_replace_each_other_pass(kind: Kind, tmp_path: Pat
 def test_levels_of_detail_in_the_reverse_order_are_noticed(kind: Kind, tmp_path: Path) -> None:
     levels = f"{_CLOSE} {_LEVELS.format('beyond', 'close')}"
     assert findings(scene_with_camera(levels, kind, has_levels=True), tmp_path) == ["GB067"]
+
+
+def test_a_part_of_the_rows_that_follows_the_camera_is_told(tmp_path: Path) -> None:
+    whole = find("rows_relative_to_camera").draw()
+    model = whole.replace_text(
+        "moved = Add (center, back)", "part = Mul (back, follows) moved = Add (center, part)"
+    ).with_weights(follows=(np.arange(40)[:, None] % 4 == 0).astype(np.float32))
+    model.write(tmp_path / "m.onnx")
+    report = validate(tmp_path / "m.onnx", Settings(level=Level.VALUES))
+    (finding,) = (finding for finding in report.findings if finding.rule == "GV059")
+    assert "the centres of 25% of the rows are relative to the camera's centre" in finding.message
