@@ -146,7 +146,7 @@ class Input$inputs extends py.Record {
 static fields = [["name", null, null], ["role", null, null], ["shape", null, null], ["range", () => Number, null], ["default", () => Number, null], ["convention", null, null], ["loop", null, null], ["frames", null, null], ["fps", () => Number, null], ["label", null, null], ["joints", () => Joint$inputs, () => []], ["rate", () => Number, null], ["window", null, null], ["hop", null, null], ["pass_", null, null], ["background", () => Number, null]];
 _is_of_scene() {
   const self = this;
-return ((self.pass_ == null) ? (py.contains(PICTURE_ROLES$17, self.role)) : (py.eq(self.pass_, "scene")));
+return ((self.pass_ == null) ? (py.contains(PICTURE_ROLES$18, self.role)) : (py.eq(self.pass_, "scene")));
 }
 get is_of_scene() { return py.cached(this, "is_of_scene", this._is_of_scene); }
 }
@@ -400,12 +400,14 @@ outputs = py.list(subject.declared_outputs);
 yield* py.iter(_name_faults$manifest("output", outputs, [...(function* () { for (const t of py.iter(subject.graph.outputs)) yield t.name; })()]));
 }
 function* _name_faults$manifest(kind, declared, known) {
-  let expected, free, hint, index, name, names, path, paths, where;
+  let expected, faults, free, hint, index, is_clear, name, names, path, paths, where;
 names = [...(function* () { for (const [_, name] of py.iter(declared)) yield name; })()];
 free = [...(function* () { for (const name of py.iter(known)) if ((!py.contains(names, name))) yield name; })()];
+faults = [...(function* () { for (const [i, n] of py.iter(py.list(names).entries())) if (((!py.contains(known, n)) || (py.contains(py.slice(names, null, i), n)))) yield n; })()];
 for ([index, [path, name]] of py.iter(py.list(declared).entries())) {
 paths = (py.bool(free) ? [...(function* () { for (const [p, n] of py.iter(declared)) if (((py.eq(n, name)) && py.bool(py.endsWith(p, `.${py.str(py.item(free, 0))}`)))) yield p; })()] : []);
-hint = ((py.eq(py.len(free), 1)) ? set_hint$finding(`${py.str(py.item([...py.iter(paths), path], 0))}.name`, py.item(free, 0)) : "");
+is_clear = (py.eq(py.len(free), py.len(faults)) && py.eq(py.len(faults), 1));
+hint = (py.bool(is_clear) ? set_hint$finding(`${py.str(py.item([...py.iter(paths), path], 0))}.name`, py.item(free, 0)) : "");
 if ((!py.contains(known, name))) {
 expected = _one_of_names_text$manifest(known);
 hint = (((py.eq(kind, "input")) && !py.bool(free)) ? `${py.str("Exporters leave out inputs that nothing depends on: export without detaching it (numpy round trips, `.item()`, Python branches), or remove")} ${py.str(path)}.` : hint);
@@ -413,14 +415,16 @@ yield py.violation(`manifest ${py.str(kind)} ${py.str(py.repr(name))}`, `no such
 } else {
 if ((py.contains(py.slice(names, null, index), name))) {
 [where, expected] = [`manifest name ${py.str(py.repr(name))}`, "one role per tensor"];
-hint = py.or(hint, () => remove_hint$finding(path, "name the tensor that is meant"));
+if ((!py.bool(hint) && py.bool(py.startsWith(path, _OPTIONAL_PATHS$1)))) {
+hint = remove_hint$finding(path, "name the tensor that is meant");
+}
 yield py.violation(where, "declared more than once", expected, undefined, undefined, hint);
 }
 }
 }
 }
 function set_hint$finding(path, value) {
-return `Set ${py.str(path)} to ${py.str(py.dumps(value))}.`;
+return `Set ${py.str(path)} to ${py.str(py.dumps(value, false))}.`;
 }
 function remove_hint$finding(path, alternative) {
 return `Remove ${py.str(path)}, or ${py.str(alternative)}.`;
@@ -461,7 +465,7 @@ function* _dtypes_agree$manifest(declared, tensor) {
 if (((declared == null) || (tensor == null))) {
 return;
 }
-if (((py.contains(ITEMSIZE$1, tensor.dtype)) && (!py.eq(tensor.dtype, declared.dtype)))) {
+if (((py.contains(ITEMSIZE$2, tensor.dtype)) && (!py.eq(tensor.dtype, declared.dtype)))) {
 [actual, expected] = [`graph has ${py.str(tensor.dtype)}`, `the declared dtype ${py.str(declared.dtype)}`];
 yield py.violation(`output ${py.str(tensor.name)}`, actual, expected);
 }
@@ -484,7 +488,7 @@ yield py.violation(location, `graph has ${py.str(first)} rows`, expected);
 function* _appearance_agrees$manifest(subject) {
   let actual, channels, declared, expected, expected_channels, tensor, valid_channel_counts;
 [declared, tensor] = [subject.declared_appearance, subject.appearance];
-if (((declared == null) || (tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(ITEMSIZE$1, tensor.dtype)))) {
+if (((declared == null) || (tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(ITEMSIZE$2, tensor.dtype)))) {
 return;
 }
 channels = py.item(tensor.dims, (-1));
@@ -561,7 +565,7 @@ producer = (py.bool(subject.manifest) ? subject.manifest.producer : null);
 if ((producer == null)) {
 return;
 }
-if (((producer.license != null) && !py.bool(_SPDX$2.exec(producer.license)))) {
+if (((producer.license != null) && !py.bool(_SPDX$3.exec(producer.license)))) {
 yield py.violation("manifest producer.license", py.repr(producer.license), "an SPDX expression");
 }
 if (!py.list((function* () { for (const char of py.iter(producer.tool)) yield /^\d+$/.test(char); })()).some(py.bool)) {
@@ -596,9 +600,9 @@ return;
 known = py.dict(py.map((key) => [key, null], (function* () { for (const entry of py.iter(generator.inputs)) for (const name of py.iter([entry.name, entry.role])) yield name; })()));
 for (role of py.iter(generator.depends_on)) {
 if ((!py.contains(known, role))) {
-actual = ((py.contains(ROLES$3, role)) ? "no input has this role" : "neither an input nor a role");
+actual = ((py.contains(ROLES$4, role)) ? "no input has this role" : "neither an input nor a role");
 known_text = py.or(py.list(known).join(", "), () => "none: there are no inputs");
-yield py.violation(`manifest depends_on ${py.str(py.repr(role))}`, actual, `one of ${py.str(known_text)}`, ((py.contains(ROLES$3, role)) ? "possible" : "confirmed"));
+yield py.violation(`manifest depends_on ${py.str(py.repr(role))}`, actual, `one of ${py.str(known_text)}`, ((py.contains(ROLES$4, role)) ? "possible" : "confirmed"));
 }
 }
 }
@@ -615,7 +619,7 @@ yield py.violation("manifest", `${py.str(present_text)} without ${py.str(missing
 }
 }
 function* contract_version_released$manifest(subject) {
-if (((subject.parsed != null) && (py.contains(UPGRADE_BY_VERSION$4, subject.parsed.version)))) {
+if (((subject.parsed != null) && (py.contains(UPGRADE_BY_VERSION$5, subject.parsed.version)))) {
 yield py.violation("manifest contract", subject.declared_version, "1.0");
 }
 }
@@ -670,8 +674,8 @@ function* required_extensions_known$extensions(subject) {
   let alternative, expected, extensions, hint, index, known, name;
 extensions = (py.bool(subject.manifest) ? subject.manifest.extensions_required : []);
 for ([index, name] of py.iter(py.list(extensions).entries())) {
-if ((!py.contains(REGISTERED_EXTENSIONS$5, name))) {
-known = py.or(py.list(REGISTERED_EXTENSIONS$5).join(", "), () => "none is registered yet");
+if ((!py.contains(REGISTERED_EXTENSIONS$6, name))) {
+known = py.or(py.list(REGISTERED_EXTENSIONS$6).join(", "), () => "none is registered yet");
 expected = `a registered extension (${py.str(known)})`;
 alternative = "register the extension as the page of extensions says";
 hint = remove_hint$finding(`extensions_required.${py.str(index)}`, alternative);
@@ -685,13 +689,13 @@ name = (py.bool(subject.manifest) ? subject.manifest.operator_profile : null);
 if ((name == null)) {
 return;
 }
-if ((!py.contains(READER_PROFILES$6, name))) {
-expected = `one of ${py.str(py.list(READER_PROFILES$6).join(", "))}`;
+if ((!py.contains(READER_PROFILES$7, name))) {
+expected = `one of ${py.str(py.list(READER_PROFILES$7).join(", "))}`;
 yield py.violation("manifest operator_profile", py.repr(name), expected);
 return;
 }
-profile = py.item(READER_PROFILES$6, name);
-opset = py.max((function* () { for (const o of py.iter(subject.file.proto.opset_import)) if ((py.contains(MAIN_DOMAIN$7, o.domain))) yield o.version; })(), 0);
+profile = py.item(READER_PROFILES$7, name);
+opset = py.max((function* () { for (const o of py.iter(subject.file.proto.opset_import)) if ((py.contains(MAIN_DOMAIN$8, o.domain))) yield o.version; })(), 0);
 if (!(py.compare(py.item(profile.opset, 0), opset) <= 0 && py.compare(opset, py.item(profile.opset, 1)) <= 0)) {
 expected = `${py.str(py.item(profile.opset, 0))} to ${py.str(py.item(profile.opset, 1))}, as ${py.str(name)} has`;
 yield py.violation("manifest operator_profile", `operator set ${py.str(opset)}`, expected);
@@ -709,7 +713,7 @@ function* cost_plausible$extensions(subject) {
 if (((generator == null) || (declared == null))) {
 return;
 }
-frame = ((declared.capacity * 10) * py.item(ITEMSIZE$1, declared.dtype));
+frame = ((declared.capacity * 10) * py.item(ITEMSIZE$2, declared.dtype));
 for ([number, entry] of py.iter(py.list(generator.cost).entries())) {
 if (((entry.bytes != null) && (py.compare(entry.bytes, frame) < 0))) {
 expected = `at least ${py.str(format_bytes$units(frame))}, the packed rows`;
@@ -804,7 +808,7 @@ function* input_dtype$inputs(subject) {
   let dtypes, entry, tensor;
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 tensor = subject.graph.input(entry.name);
-dtypes = py.item(ROLES$3, entry.role).dtype;
+dtypes = py.item(ROLES$4, entry.role).dtype;
 if (((tensor != null) && (!py.contains(dtypes, tensor.dtype)))) {
 yield py.violation(`input ${py.str(entry.name)}`, py.str(tensor.dtype), py.list(dtypes).join(" or "));
 }
@@ -821,7 +825,7 @@ if ((entry == null)) {
 yield py.violation(location, `${py.str(tensor)} without a role`, "a declared role, or no such input");
 continue;
 }
-role = py.item(ROLES$3, entry.role);
+role = py.item(ROLES$4, entry.role);
 if ((py.bool(manifest) && (!py.contains(role.kinds, manifest.kind)))) {
 yield py.violation(location, `role ${py.str(entry.role)}`, `a role that a ${py.str(manifest.kind)} may take`);
 }
@@ -833,7 +837,7 @@ yield* py.iter(_feed_faults$inputs(tensor, entry.role, (py.bool(manifest) ? mani
 }
 function* _feed_faults$inputs(tensor, role, kind) {
   let dims, expected, location, shapes;
-if (((py.contains(_SHAPE_RULES$8, role)) && (py.eq(kind, "gaussian-generator")))) {
+if (((py.contains(_SHAPE_RULES$9, role)) && (py.eq(kind, "gaussian-generator")))) {
 return;
 }
 location = `input ${py.str(tensor.name)}`;
@@ -843,15 +847,15 @@ if ((!py.eq(kind, "post-process"))) {
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, "a static shape");
 } else {
 if (!py.bool(_is_open_image$inputs(tensor, role))) {
-shapes = _shapes_text$inputs(py.item(ROLES$3, role), kind);
+shapes = _shapes_text$inputs(py.item(ROLES$4, role), kind);
 expected = `${py.str(shapes)}, channels first; only height and width may be open, not the batch`;
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, expected);
 }
 }
 return;
 }
-if ((matching_shape$roles(py.item(ROLES$3, role), dims, kind) == null)) {
-shapes = _shapes_text$inputs(py.item(ROLES$3, role), kind);
+if ((matching_shape$roles(py.item(ROLES$4, role), dims, kind) == null)) {
+shapes = _shapes_text$inputs(py.item(ROLES$4, role), kind);
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, `${py.str(shapes)}, as the role ${py.str(role)} has`);
 }
 }
@@ -861,13 +865,13 @@ if ((tensor.dims == null)) {
 return false;
 }
 sizes = py.set(["H", "W"]);
-return py.list((function* () { for (const shape of py.iter(py.item(ROLES$3, role).shapes)) yield py.and((py.eq(py.len(shape), py.len(tensor.dims))), () => py.list((function* () { for (const [expected, dim] of py.iter(py.zip(shape, tensor.dims))) yield py.or((py.contains(sizes, expected)), () => py.and(py.isinstance(dim, py.int), () => (py.contains([dim, py.str(expected)], expected)))); })()).every(py.bool)); })()).some(py.bool);
+return py.list((function* () { for (const shape of py.iter(py.item(ROLES$4, role).shapes)) yield py.and((py.eq(py.len(shape), py.len(tensor.dims))), () => py.list((function* () { for (const [expected, dim] of py.iter(py.zip(shape, tensor.dims))) yield py.or((py.contains(sizes, expected)), () => py.and(py.isinstance(dim, py.int), () => (py.contains([dim, py.str(expected)], expected)))); })()).every(py.bool)); })()).some(py.bool);
 }
 function _shapes_text$inputs(role, kind) {
 return py.list((function* () { for (const shape of py.iter(shapes_of$roles(role, kind))) yield `[${py.str(py.list(py.map(py.str, shape)).join(", "))}]`; })()).join(" or ");
 }
 function shapes_of$roles(entry, kind) {
-return py.get(_SHAPES_BY_KIND$9, [entry.name, kind], entry.shapes);
+return py.get(_SHAPES_BY_KIND$10, [entry.name, kind], entry.shapes);
 }
 function matching_shape$roles(entry, dims, kind = "") {
   let shape;
@@ -909,22 +913,25 @@ yield py.violation(`input ${py.str(py.item(weights, 0))}`, actual, "a weight tha
 }
 }
 function* input_range_ordered$input_declarations(subject) {
-  let actual, entry, expected, high, low, most;
+  let actual, dtype, entry, expected, high, highest, is_int32, is_whole, low, lowest, tensor;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if ((entry.range == null)) {
 continue;
 }
-[low, high] = entry.range;
+[[low, high], tensor] = [entry.range, subject.graph.input(entry.name)];
 actual = `range ${py.str([low, high])}`;
+dtype = py.or((py.bool(tensor) ? tensor.dtype : null), () => "float32");
+is_int32 = (py.eq(dtype, "int32"));
+[lowest, highest] = (py.bool(is_int32) ? [(py.minus((-2147483647), 1)), 2147483647] : [(-py.float(3.4028234663852886e+38)), py.float(3.4028234663852886e+38)]);
+is_whole = py.or(py.item(ROLES$4, entry.role).index, () => is_int32);
 if (!(py.compare(low, high) <= 0)) {
 yield py.violation(_input_location$input_declarations(entry), actual, "low <= high");
 } else {
-if ((py.bool(py.item(ROLES$3, entry.role).index) && !(py.bool(Number.isInteger(Number(low))) && py.bool(Number.isInteger(Number(high)))))) {
+if ((py.bool(is_whole) && !(py.bool(Number.isInteger(Number(low))) && py.bool(Number.isInteger(Number(high)))))) {
 yield py.violation(_input_location$input_declarations(entry), actual, "whole numbers");
 } else {
-most = (py.bool(py.item(ROLES$3, entry.role).index) ? 9007199254740992 : py.float(3.4028234663852886e+38));
-if ((py.compare(py.max([Math.abs(low), Math.abs(high)]), most) > 0)) {
-expected = `numbers of the input's type, within ±${py.format(most, `g`)}`;
+if (((py.compare(low, lowest) < 0) || (py.compare(high, highest) > 0))) {
+expected = `numbers of ${py.str(dtype)}, from ${py.format(lowest, `.10g`)} to ${py.format(highest, `.10g`)}`;
 yield py.violation(_input_location$input_declarations(entry), actual, expected);
 }
 }
@@ -960,7 +967,7 @@ function _default_value_fault$input_declarations(entry, shape) {
   let actual, default_, high, is_quaternion_pose, low, numbers, out_of_range, room;
 default_ = entry.default;
 is_quaternion_pose = py.and((py.eq(entry.role, "pose")), () => (py.eq(py.slice(shape, (-1), null), [4])));
-if (((py.eq(default_, "identity")) && !((py.contains(_SQUARE_SHAPES$10, py.slice(shape, (-2), null))) || py.bool(is_quaternion_pose)))) {
+if (((py.eq(default_, "identity")) && !((py.contains(_SQUARE_SHAPES$11, py.slice(shape, (-2), null))) || py.bool(is_quaternion_pose)))) {
 return [`default identity for shape ${py.str(py.list(shape))}`, "a matrix or quaternions"];
 }
 if ((py.isinstance(default_, py.list) && (!py.eq(py.len(default_), py.list(shape).reduce((product, size) => product * size, 1))))) {
@@ -974,7 +981,7 @@ out_of_range = [...(function* () { for (const number of py.iter(numbers)) if (!(
 if (py.bool(out_of_range)) {
 return [`default ${py.format(py.item(out_of_range, 0), `g`)} beyond the range ${py.str([low, high])}`, "one within"];
 }
-if ((py.bool(py.item(ROLES$3, entry.role).index) && !py.list((function* () { for (const number of py.iter(numbers)) yield Number.isInteger(Number(number)); })()).every(py.bool))) {
+if ((py.bool(py.item(ROLES$4, entry.role).index) && !py.list((function* () { for (const number of py.iter(numbers)) yield Number.isInteger(Number(number)); })()).every(py.bool))) {
 return [`default ${py.format(py.item(numbers, 0), `g`)} of an input that counts`, "a whole number"];
 }
 return null;
@@ -994,7 +1001,7 @@ for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if ((entry.convention == null)) {
 continue;
 }
-[known, shape] = [py.item(ROLES$3, entry.role).conventions, shape_of$input_declarations(subject, entry)];
+[known, shape] = [py.item(ROLES$4, entry.role).conventions, shape_of$input_declarations(subject, entry)];
 actual = `convention ${py.str(py.repr(entry.convention))}`;
 if ((!py.contains(known, entry.convention))) {
 expected = (py.bool(known) ? `one of ${py.str(py.list(known).join(", "))}` : `none, as ${py.str(entry.role)} has`);
@@ -1004,8 +1011,8 @@ if (((shape != null) && !py.bool(_shape_fits_convention$input_declarations(entry
 expected = "a shape that can hold it";
 yield py.violation(_input_location$input_declarations(entry), `${py.str(actual)} for shape ${py.str(py.list(shape))}`, expected);
 } else {
-if (((shape != null) && (!py.contains(py.get(JOINTS$11, entry.convention, py.slice(shape, null, 1)), py.item(shape, 0))))) {
-joints = py.list(py.map(py.str, py.item(JOINTS$11, entry.convention))).join(" or ");
+if (((shape != null) && (!py.contains(py.get(JOINTS$12, entry.convention, py.slice(shape, null, 1)), py.item(shape, 0))))) {
+joints = py.list(py.map(py.str, py.item(JOINTS$12, entry.convention))).join(" or ");
 expected = `${py.str(joints)} joints; a skeleton of its own has no convention of SMPL`;
 yield py.violation(_input_location$input_declarations(entry), `${py.str(actual)} for ${py.str(py.item(shape, 0))} joints`, expected);
 }
@@ -1016,8 +1023,8 @@ yield py.violation(_input_location$input_declarations(entry), `${py.str(actual)}
 function _shape_fits_convention$input_declarations(entry, shape) {
   let convention;
 convention = entry.convention;
-if ((py.contains(CONVENTION_SHAPES$12, [entry.role, convention]))) {
-return matches_shape$roles(py.item(CONVENTION_SHAPES$12, [entry.role, py.str(convention)]), shape);
+if ((py.contains(CONVENTION_SHAPES$13, [entry.role, convention]))) {
+return matches_shape$roles(py.item(CONVENTION_SHAPES$13, [entry.role, py.str(convention)]), shape);
 }
 if ((py.eq(convention, "matrix"))) {
 return (py.eq(shape, [3, 3]));
@@ -1033,7 +1040,7 @@ if ((subject.candidate != null)) {
 return;
 }
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
-if (((py.contains(_USER_ROLES$13, entry.role)) && (entry.default == null))) {
+if (((py.contains(_USER_ROLES$14, entry.role)) && (entry.default == null))) {
 low = ((entry.range == null) ? "zeros" : `${py.format(py.item(entry.range, 0), `g`)}, the low end,`);
 actual = `role ${py.str(entry.role)} without a default: ${py.str(low)} would be fed`;
 yield py.violation(_input_location$input_declarations(entry), actual, "\"default\"");
@@ -1045,7 +1052,7 @@ function* timing_belongs_to_time$input_declarations(subject) {
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 timing_fields = py.dict([["loop", entry.loop], ["fps", entry.fps], ["frames", entry.frames]]);
 declared = [...(function* () { for (const [name, value] of py.iter(timing_fields.entries())) if ((value != null)) yield name; })()];
-if ((py.bool(declared) && (!py.contains(_TIME_ROLES$14, entry.role)))) {
+if ((py.bool(declared) && (!py.contains(_TIME_ROLES$15, entry.role)))) {
 actual = `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`;
 yield py.violation(_input_location$input_declarations(entry), actual, "role time or frame_index");
 } else {
@@ -1062,7 +1069,7 @@ function* angles_are_radians$input_declarations(subject) {
   let actual, entry, is_vector, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 shape = shape_of$input_declarations(subject, entry);
-if (((!py.contains(ROTATION_ROLES$15, entry.role)) || (entry.range == null) || (shape == null))) {
+if (((!py.contains(ROTATION_ROLES$16, entry.role)) || (entry.range == null) || (shape == null))) {
 continue;
 }
 is_vector = py.and((py.eq(py.slice(shape, (-1), null), [3])), () => (!py.eq(entry.convention, "matrix")));
@@ -1073,20 +1080,17 @@ yield py.violation(_input_location$input_declarations(entry), actual, "radians, 
 }
 }
 function* frames_fit_range$input_declarations(subject) {
-  let actual, entry, high, low, numbers;
+  let actual, entry, high, low, numbers, size;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
-if (((!py.contains(_TIME_ROLES$14, entry.role)) || (entry.range == null) || (entry.frames == null))) {
+if (((!py.contains(_TIME_ROLES$15, entry.role)) || (entry.range == null) || (entry.frames == null))) {
 continue;
 }
 [low, high] = entry.range;
 if ((py.eq(entry.role, "frame_index"))) {
 numbers = (py.plus(py.int((py.minus(high, low))), 1));
 } else {
-if ((py.eq(low, high))) {
-numbers = 1;
-} else {
-numbers = py.int((((py.minus(high, low)) / py.max([Math.abs(low), Math.abs(high)])) * 8388608));
-}
+size = py.or(py.max([Math.abs(low), Math.abs(high)]), () => py.float(1.0));
+numbers = py.max([1, py.int((((py.minus(high, low)) / size) * 8388608))]);
 }
 if ((py.compare(entry.frames, numbers) > 0)) {
 actual = `${py.str(entry.frames)} frames in the range ${py.str(py.list(entry.range))}`;
@@ -1143,7 +1147,7 @@ yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "wit
 function* sound_described$avatar_inputs(subject) {
   let actual, declared, entry, expected, hint, is_mel, missing, required_fields, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
-declared = [...(function* () { for (const name of py.iter(_SOUND_FIELDS$16)) if ((entry[name] != null)) yield name; })()];
+declared = [...(function* () { for (const name of py.iter(_SOUND_FIELDS$17)) if ((entry[name] != null)) yield name; })()];
 if ((!py.eq(entry.role, "audio"))) {
 if (py.bool(declared)) {
 yield _input_violation$avatar_inputs(entry, `role ${py.str(entry.role)} with ${py.str(py.list(declared).join(", "))}`, "role audio");
@@ -1152,7 +1156,7 @@ continue;
 }
 shape = shape_of$input_declarations(subject, entry);
 is_mel = py.or((py.eq(entry.convention, "mel")), () => py.and((shape != null), () => (py.compare(py.len(shape), 1) > 0)));
-required_fields = (py.bool(is_mel) ? _SOUND_FIELDS$16 : py.slice(_SOUND_FIELDS$16, null, 1));
+required_fields = (py.bool(is_mel) ? _SOUND_FIELDS$17 : py.slice(_SOUND_FIELDS$17, null, 1));
 missing = [...(function* () { for (const name of py.iter(required_fields)) if ((!py.contains(declared, name))) yield name; })()];
 if (py.bool(missing)) {
 yield _input_violation$avatar_inputs(entry, `no ${py.str(py.list(missing).join(", "))}`, `${py.str(py.list(required_fields).join(", "))} of the sound`);
@@ -1168,7 +1172,7 @@ yield _input_violation$avatar_inputs(entry, actual, expected, hint);
 }
 function* pictures_have_cameras$scene_inputs(subject) {
   let counts, entry, expected, pictures, shape, shapes;
-pictures = [...(function* () { for (const entry of py.iter(declared_inputs$input_declarations(subject))) if ((py.contains(PICTURE_ROLES$17, entry.role))) yield entry; })()];
+pictures = [...(function* () { for (const entry of py.iter(declared_inputs$input_declarations(subject))) if ((py.contains(PICTURE_ROLES$18, entry.role))) yield entry; })()];
 shapes = [...(function* () { for (const entry of py.iter(pictures)) if ((py.eq(entry.role, "image"))) yield shape_of$input_declarations(subject, entry); })()];
 counts = [...(function* () { for (const shape of py.iter(shapes)) if (py.bool(shape)) yield py.item(shape, 0); })()];
 for (entry of py.iter(pictures)) {
@@ -1197,10 +1201,10 @@ actual = `role ${py.str(entry.role)} with the pass ${py.str(py.repr(entry.pass_)
 if ((!py.eq(kind, "gaussian-generator"))) {
 yield _input_violation$scene_inputs(entry, actual, `no pass, as a ${py.str(kind)} has no scene`);
 } else {
-if (((py.eq(entry.pass_, "scene")) && (py.contains(_FRAME_ROLES$18, entry.role)))) {
+if (((py.eq(entry.pass_, "scene")) && (py.contains(_FRAME_ROLES$19, entry.role)))) {
 yield _input_violation$scene_inputs(entry, actual, "the pass 'frame', or none");
 } else {
-if (((py.eq(entry.pass_, "frame")) && (py.contains(PICTURE_ROLES$17, entry.role)))) {
+if (((py.eq(entry.pass_, "frame")) && (py.contains(PICTURE_ROLES$18, entry.role)))) {
 yield _input_violation$scene_inputs(entry, actual, "the pass 'scene', or none");
 }
 }
@@ -1300,8 +1304,8 @@ columns = _dim_of_axis$outputs(tensor, (-1));
 if ((py.eq(_dim_of_axis$outputs(tensor, 0), 10))) {
 return "; this one is transposed, channels first";
 }
-if ((py.isinstance(columns, py.int) && (py.contains(COLUMN_MEANINGS$19, columns)))) {
-return `; ${py.str(columns)} columns usually are ${py.str(py.item(COLUMN_MEANINGS$19, columns))}`;
+if ((py.isinstance(columns, py.int) && (py.contains(COLUMN_MEANINGS$20, columns)))) {
+return `; ${py.str(columns)} columns usually are ${py.str(py.item(COLUMN_MEANINGS$20, columns))}`;
 }
 return "";
 }
@@ -1332,7 +1336,7 @@ function* appearance_channels$outputs(subject) {
 if (((tensor == null) || (declared == null))) {
 return;
 }
-allowed_channels = py.item(APPEARANCE_CHANNELS$20, declared.space);
+allowed_channels = py.item(APPEARANCE_CHANNELS$21, declared.space);
 channels = _dim_of_axis$outputs(tensor, (-1));
 if (((tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)) || (!py.contains(allowed_channels, channels)))) {
 expected = `[N, C] with C in ${py.str(py.list(allowed_channels))} for ${py.str(declared.space)}`;
@@ -1357,7 +1361,7 @@ yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(row_count)} rows`,
 function* output_dtype$outputs(subject) {
   let hint, tensor;
 for (tensor of py.iter([subject.gaussians, subject.appearance, subject.cells])) {
-if (((tensor != null) && (!py.contains(ITEMSIZE$1, tensor.dtype)))) {
+if (((tensor != null) && (!py.contains(ITEMSIZE$2, tensor.dtype)))) {
 hint = ((py.eq(tensor.dtype, "uint8")) ? "Divide the bytes by 255 in float32." : "");
 yield py.violation(`output ${py.str(tensor.name)}`, py.str(tensor.dtype), "float32 or float16", undefined, undefined, hint);
 }
@@ -1407,7 +1411,7 @@ channels = _dim_of_axis$outputs(tensor, (-1));
 if (((tensor == null) || !py.isinstance(channels, py.int))) {
 continue;
 }
-size = (channels * py.get(ITEMSIZE$1, py.or(tensor.dtype, () => ""), 4));
+size = (channels * py.get(ITEMSIZE$2, py.or(tensor.dtype, () => ""), 4));
 if (py.bool((size - 4 * Math.floor(size / 4)))) {
 actual = `${py.str(channels)} channels of ${py.str(tensor.dtype)}, ${py.str(size)} bytes a row`;
 yield py.violation(`output ${py.str(tensor.name)}`, actual, `a multiple of ${py.str(4)} bytes`);
@@ -1426,7 +1430,7 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "a name that starts 
 function* visionary_finds_color$visionary(subject) {
   let actual, candidates, first_match, tensor;
 tensor = subject.appearance;
-candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_OUTPUT_WORDS$21)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$22, py.item(t.dims, (-1)))))) yield t.name; })()];
+candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_OUTPUT_WORDS$22)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$23, py.item(t.dims, (-1)))))) yield t.name; })()];
 first_match = (py.bool(candidates) ? py.item(candidates, 0) : null);
 if (((tensor != null) && (!py.eq(first_match, tensor.name)))) {
 actual = (py.bool(first_match) ? `the viewer takes ${py.str(py.repr(first_match))}` : "the viewer finds none");
@@ -1462,7 +1466,7 @@ for ([_, input_image] of py.iter(subject.inputs_of("image"))) {
 if (!py.bool(_sizes_agree$companions(input_image, tensor, declared.scale))) {
 times = ((py.eq(declared.scale, 1)) ? "" : `${py.str(declared.scale)} times the size of `);
 expected = `${py.str(times)}${py.str(input_image)}, as ${py.str(input_image.name)} has, with 3 or 4 channels`;
-hint = _scale_hint$companions(input_image, tensor);
+hint = _scale_hint$companions(input_image, tensor, declared.scale);
 yield py.violation(location, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
 }
 }
@@ -1486,7 +1490,7 @@ known = py.list((function* () { for (const [k, x, y] of py.iter(sizes)) if ((py.
 channels = py.item(output_image.dims, 1);
 return py.and(known, () => py.or(!py.isinstance(channels, py.int), () => (py.contains([3, 4], channels))));
 }
-function _scale_hint$companions(input_image, output_image) {
+function _scale_hint$companions(input_image, output_image, declared) {
   let is_whole, known, scale, sizes;
 sizes = [...py.iter(py.slice(py.or(input_image.dims, () => []), 2, null)), ...py.iter(py.slice(py.or(output_image.dims, () => []), 2, null))];
 known = [...(function* () { for (const size of py.iter(sizes)) if (py.isinstance(size, py.int)) yield size; })()];
@@ -1495,7 +1499,7 @@ return "";
 }
 scale = (Math.floor(py.item(known, 2) / py.item(known, 0)));
 is_whole = py.and((py.compare(scale, 1) >= 0), () => (py.eq(py.slice(known, 2, null), [(scale * py.item(known, 0)), (scale * py.item(known, 1))])));
-return (py.bool(is_whole) ? set_hint$finding("outputs.image.scale", scale) : "");
+return ((py.bool(is_whole) && (!py.eq(scale, declared))) ? set_hint$finding("outputs.image.scale", scale) : "");
 }
 function* states_as_declared$companions(subject) {
   let doubt_size, entry, expected, future, graph, hint, manifest, name, state, tensor, uncertainty_output;
@@ -1504,31 +1508,36 @@ if (!py.isinstance(manifest, TrajectoryManifest$manifest)) {
 return;
 }
 [future, uncertainty_output] = [manifest.outputs.future, manifest.outputs.uncertainty];
-[state, graph] = [py.item(STATE_SIZES$23, future.representation), subject.graph];
-doubt_size = py.get(py.dict([["covariance-upper", (Math.floor((state * (py.plus(state, 1))) / 2))]]), uncertainty_output.semantics, state);
+[state, graph] = [py.item(STATE_SIZES$24, future.representation), subject.graph];
+doubt_size = py.item(_doubt_sizes$companions(state), uncertainty_output.semantics);
 for ([name, expected] of py.iter([[future.name, state], [uncertainty_output.name, doubt_size]])) {
-hint = _states_hint$companions(graph.output(name), future.steps, state, (py.eq(name, future.name)));
+hint = _states_hint$companions(subject, manifest, (py.eq(name, future.name)));
 yield* py.iter(_check_size$companions(graph.output(name), `output ${py.str(name)}`, [future.steps, expected], hint));
 }
 for ([entry, tensor] of py.iter(subject.inputs_of("camera_history"))) {
 yield* py.iter(_check_size$companions(tensor, `input ${py.str(entry.name)}`, [null, state]));
 }
 }
-function _states_hint$companions(tensor, steps, state, is_future) {
-  let meaning, names, rows, size;
-if (((tensor == null) || (tensor.dims == null) || (!py.eq(py.len(tensor.dims), 2)))) {
+function _doubt_sizes$companions(state) {
+return py.dict([["standard-deviation", state], ["covariance-upper", (Math.floor((state * (py.plus(state, 1))) / 2))]]);
+}
+function _states_hint$companions(subject, manifest, is_future) {
+  let declared, field, fitting, future, is_same, rows, shapes, size, sizes, state, tensors, uncertainty;
+[future, uncertainty] = [manifest.outputs.future, manifest.outputs.uncertainty];
+tensors = [...(function* () { for (const part of py.iter([future, uncertainty])) yield subject.graph.output(part.name); })()];
+shapes = [...(function* () { for (const tensor of py.iter(tensors)) yield (py.bool(tensor) ? py.or(tensor.dims, () => []) : []); })()];
+if (py.list((function* () { for (const shape of py.iter(shapes)) yield (!py.eq(py.len(shape), 2)); })()).some(py.bool)) {
 return "";
 }
-[rows, size] = tensor.dims;
-if ((py.isinstance(rows, py.int) && (!py.eq(rows, steps)))) {
-return set_hint$finding("outputs.future.steps", rows);
+[rows, size] = py.item(shapes, (py.bool(is_future) ? 0 : 1));
+if ((py.isinstance(rows, py.int) && (!py.eq(rows, future.steps)))) {
+is_same = (py.eq(py.item(py.item(shapes, 0), 0), py.item(py.item(shapes, 1), 0)));
+return (py.bool(is_same) ? set_hint$finding("outputs.future.steps", rows) : "");
 }
-if (py.bool(is_future)) {
-names = [...(function* () { for (const name of py.iter(STATE_SIZES$23)) if ((py.eq(py.item(STATE_SIZES$23, name), size))) yield name; })()];
-return ((py.eq(py.len(names), 1)) ? set_hint$finding("outputs.future.representation", py.item(names, 0)) : "");
-}
-meaning = ((py.eq(size, state)) ? "standard-deviation" : "covariance-upper");
-return set_hint$finding("outputs.uncertainty.semantics", meaning);
+state = py.item(STATE_SIZES$24, future.representation);
+[field, declared, sizes] = (py.bool(is_future) ? ["future.representation", future.representation, STATE_SIZES$24] : ["uncertainty.semantics", uncertainty.semantics, _doubt_sizes$companions(state)]);
+fitting = [...(function* () { for (const name of py.iter(sizes)) if ((py.eq(py.item(sizes, name), size) && !py.eq(size, py.item(sizes, declared)))) yield name; })()];
+return (py.bool(fitting) ? set_hint$finding(`outputs.${py.str(field)}`, py.item(fitting, 0)) : "");
 }
 function* _check_size$companions(tensor, location, expected, hint = "") {
   let expected_shape, has_fitting_shape;
@@ -1594,7 +1603,7 @@ yield py.violation("ir_version", py.str(proto.ir_version), `${py.str(subject.tar
 function declared_opset$model_file(proto) {
   let versions;
 versions = py.dict((function* () { for (const entry of py.iter(proto.opset_import)) yield [entry.domain, entry.version]; })());
-return ((function* () { for (const domain of py.iter(MAIN_DOMAIN$7)) if ((py.contains(versions, domain))) yield py.item(versions, domain); })().next().value ?? null);
+return ((function* () { for (const domain of py.iter(MAIN_DOMAIN$8)) if ((py.contains(versions, domain))) yield py.item(versions, domain); })().next().value ?? null);
 }
 function* standard_operators$graph(subject) {
   let actual, allowed_domains, graph, known, node;
@@ -1613,7 +1622,7 @@ return `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_t
 function* no_control_flow$graph(subject) {
   let node;
 for (node of py.iter(subject.graph.all_nodes())) {
-if (((py.contains(CONTROL_FLOW$24, node.op_type)) && (py.contains(MAIN_DOMAIN$7, node.domain)))) {
+if (((py.contains(CONTROL_FLOW$25, node.op_type)) && (py.contains(MAIN_DOMAIN$8, node.domain)))) {
 yield py.violation(_node_location$graph(node), node.op_type, "a graph without control flow");
 }
 }
@@ -1621,7 +1630,7 @@ yield py.violation(_node_location$graph(node), node.op_type, "a graph without co
 function* no_random_operators$repeatability(subject) {
   let actual, has_seed_attribute, node;
 for (node of py.iter(_all_nodes$repeatability(subject))) {
-if ((py.contains(RANDOM_OPERATORS$25, node.op_type))) {
+if ((py.contains(RANDOM_OPERATORS$26, node.op_type))) {
 has_seed_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
 actual = (py.bool(has_seed_attribute) ? "draws on from run to run despite its seed" : "no seed");
 yield py.violation(_location$repeatability(node), actual, "stored numbers");
@@ -1635,7 +1644,7 @@ needed_nodes = py.set((function* () { for (const tensor of py.iter(graph.outputs
 idle_nodes = (py.minus(py.set((function* () { for (const node of py.iter(graph.nodes)) yield node; })()), needed_nodes));
 functions = (function* () { for (const function_ of py.iter(subject.file.proto.functions)) for (const node of py.iter(function_.node)) yield node; })();
 for (node of py.iter([graph.all_nodes(), functions].flatMap((part) => py.list(part)))) {
-if (((py.contains(MAIN_DOMAIN$7, node.domain)) && (!py.contains(idle_nodes, node)))) {
+if (((py.contains(MAIN_DOMAIN$8, node.domain)) && (!py.contains(idle_nodes, node)))) {
 yield node;
 }
 }
@@ -1679,7 +1688,7 @@ if (((producer != null) && py.bool(_does_copy_input$capture(graph, producer)))) 
 yield py.violation(location, `made by ${py.str(producer.op_type)}`, "an operator that computes");
 }
 for (node of py.iter(py.item(graph.ancestors(tensor.name), 1))) {
-if (((py.contains(_SCATTER_OPERATORS$28, node.op_type)) && py.bool(_does_share_base$capture(graph, node)))) {
+if (((py.contains(_SCATTER_OPERATORS$29, node.op_type)) && py.bool(_does_share_base$capture(graph, node)))) {
 location = `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
 actual = "updates a tensor that others read";
 yield py.violation(location, actual, "Where or Concat");
@@ -1689,7 +1698,7 @@ yield py.violation(location, actual, "Where or Concat");
 }
 function _does_copy_input$capture(graph, node) {
   let are_axes_empty, axes, axes_inputs, has_axes_attribute, is_noop_with_empty_axes;
-if ((!py.contains(MAIN_DOMAIN$7, node.domain))) {
+if ((!py.contains(MAIN_DOMAIN$8, node.domain))) {
 return false;
 }
 is_noop_with_empty_axes = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield py.and((py.eq(attribute.name, "noop_with_empty_axes")), () => attribute.i); })()).some(py.bool);
@@ -1700,13 +1709,13 @@ are_axes_empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () =>
 return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_noop_with_empty_axes, () => are_axes_empty, () => !py.bool(has_axes_attribute)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
-if ((py.contains(VIEW_OPERATORS$26, operator))) {
+if ((py.contains(VIEW_OPERATORS$27, operator))) {
 return true;
 }
 if (py.bool(py.startsWith(operator, "Reduce"))) {
 return keeps_all_axes;
 }
-return py.and((py.contains(VARIADIC$27, operator)), () => (py.eq(inputs, 1)));
+return py.and((py.contains(VARIADIC$28, operator)), () => (py.eq(inputs, 1)));
 }
 function _does_share_base$capture(graph, node) {
   let base;
@@ -1743,7 +1752,7 @@ dims = static_dims$graph(tensor);
 if ((dims == null)) {
 return 0;
 }
-bits = py.get(_DTYPE_BITS$29, py.or(tensor.dtype, () => ""), 32);
+bits = py.get(_DTYPE_BITS$30, py.or(tensor.dtype, () => ""), 32);
 for (dim of py.iter(dims)) {
 bits = (bits * py.int(dim));
 }
@@ -1770,12 +1779,12 @@ resized_tensors = py.set();
 executed_nodes = [];
 for (node of py.iter(graph.nodes)) {
 names = names_read$graph(node);
-is_random = py.and((py.contains(RANDOM_OPERATORS$25, node.op_type)), () => (py.contains(MAIN_DOMAIN$7, node.domain)));
-changing_tensors = ((py.contains(_SHAPE_OPERATORS$30, node.op_type)) ? resized_tensors : varying_tensors);
+is_random = py.and((py.contains(RANDOM_OPERATORS$26, node.op_type)), () => (py.contains(MAIN_DOMAIN$8, node.domain)));
+changing_tensors = ((py.contains(_SHAPE_OPERATORS$31, node.op_type)) ? resized_tensors : varying_tensors);
 if ((py.bool(is_random) || !py.bool(!py.list(names).some((entry) => changing_tensors.has(entry))))) {
 py.list(node.output).forEach((entry) => varying_tensors.add(entry));
 executed_nodes.push(node);
-if (((py.contains(DATA_SIZED_OPERATORS$31, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized_tensors.has(entry))))) {
+if (((py.contains(DATA_SIZED_OPERATORS$32, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized_tensors.has(entry))))) {
 py.list(node.output).forEach((entry) => resized_tensors.add(entry));
 }
 }
@@ -1900,14 +1909,14 @@ return new Candidate$manifest_io(manifest, py.list(manifest_guesses));
 function _role_of$manifest_inference(tensor) {
   let lower_name;
 lower_name = tensor.name.toLowerCase();
-return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$32.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
+return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$33.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
 }
 function _input$manifest_inference(tensor, manifest_guesses) {
   let entry, fixed_dims, has_free_shape, has_named_axes, role, span;
 role = _role_of$manifest_inference(tensor);
 manifest_guesses.push(`input ${py.str(py.repr(tensor.name))} is the ${py.str(role)}, by its name`);
 fixed_dims = static_dims$graph(tensor);
-entry = py.item(ROLES$3, role);
+entry = py.item(ROLES$4, role);
 has_free_shape = py.and((fixed_dims != null), () => (matching_shape$roles(entry, fixed_dims) != null));
 has_named_axes = py.list((function* () { for (const shape of py.iter(entry.shapes)) for (const dim of py.iter(shape)) yield py.isinstance(dim, py.str); })()).some(py.bool);
 span = (((py.eq(role, "time")) || py.bool(entry.needs_range)) ? [py.float(0.0), py.float(1.0)] : null);
@@ -1921,7 +1930,7 @@ return ((dims != null) ? py.list((function* () { for (const dim of py.iter(dims)
 }
 function _gaussians$manifest_inference(graph, manifest_guesses) {
   let capacity, first, packed_outputs, tensor;
-tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$33);
+tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$34);
 packed_outputs = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last_dim$manifest_inference(tensor), 10))) yield tensor; })()];
 if (((tensor == null) && (py.eq(py.len(packed_outputs), 1)))) {
 tensor = py.item(packed_outputs, 0);
@@ -1948,13 +1957,13 @@ return ((py.eq(tensor.dtype, "float16")) ? "float16" : "float32");
 }
 function _appearance$manifest_inference(graph, manifest_guesses) {
   let channels, degree, tensor;
-tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$34);
+tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$35);
 if ((tensor == null)) {
 manifest_guesses.push("no output is named like an appearance");
 return null;
 }
 channels = _last_dim$manifest_inference(tensor);
-if (((py.contains(py.item(APPEARANCE_CHANNELS$20, "sh"), channels)) && (!py.eq(channels, 3)))) {
+if (((py.contains(py.item(APPEARANCE_CHANNELS$21, "sh"), channels)) && (!py.eq(channels, 3)))) {
 degree = degree_of$spherical_harmonics((Math.floor(channels / 3)));
 manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds SH of degree ${py.str(degree)}, by its ${py.str(channels)} channels`);
 return new AppearanceOutput$outputs(tensor.name, "sh", degree);
@@ -1963,14 +1972,14 @@ manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds raw RGB, by 
 return new AppearanceOutput$outputs(tensor.name, "rgb");
 }
 function degree_of$spherical_harmonics(count) {
-if ((!py.contains(SH_COEFFICIENT_COUNTS$35, count))) {
-throw new Error(`${py.str(count)} is not a number of SH coefficients: expected one of ${py.str(SH_COEFFICIENT_COUNTS$35)}`);
+if ((!py.contains(SH_COEFFICIENT_COUNTS$36, count))) {
+throw new Error(`${py.str(count)} is not a number of SH coefficients: expected one of ${py.str(SH_COEFFICIENT_COUNTS$36)}`);
 }
-return SH_COEFFICIENT_COUNTS$35.indexOf(count);
+return SH_COEFFICIENT_COUNTS$36.indexOf(count);
 }
 function _count$manifest_inference(graph, manifest_guesses) {
   let tensor;
-tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$36);
+tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$37);
 if ((tensor == null)) {
 manifest_guesses.push("no output is named like a row count");
 return null;
@@ -2014,8 +2023,8 @@ if ((version == null)) {
 actual = ((py.contains(document, "contract")) ? _json_text$manifest_io(py.item(document, "contract")) : "nothing");
 return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
-if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$37, 0)))) {
-manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$37, 0))}`);
+if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$38, 0)))) {
+manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$38, 0))}`);
 return new ParsedManifest$manifest_io(null, [manifest_complaint], version);
 }
 return _parse_body$manifest_io(document, version);
@@ -2082,7 +2091,7 @@ kind = py.get(document, "kind");
 if ((!py.contains(MANIFEST_KINDS$0, kind))) {
 return _failed_parse$manifest_io("schema", "kind", _json_text$manifest_io(kind), `one of ${py.str(py.list(MANIFEST_KINDS$0).join(", "))}`);
 }
-is_newer_version = py.and((py.compare(version, CURRENT_VERSION$37) > 0), () => (!py.contains(UPGRADE_BY_VERSION$4, version)));
+is_newer_version = py.and((py.compare(version, CURRENT_VERSION$38) > 0), () => (!py.contains(UPGRADE_BY_VERSION$5, version)));
 document = upgrade$upgrades(document, version);
 faults = py.list(schema_faults$schema_check(document, publishedSchema(kind)));
 if (py.bool(is_newer_version)) {
@@ -2097,8 +2106,8 @@ return new ParsedManifest$manifest_io(manifest, [], version, is_newer_version);
 }
 function upgrade$upgrades(document, version) {
   let major, minor;
-while ((py.contains(UPGRADE_BY_VERSION$4, version))) {
-document = py.item(UPGRADE_BY_VERSION$4, version)(document);
+while ((py.contains(UPGRADE_BY_VERSION$5, version))) {
+document = py.item(UPGRADE_BY_VERSION$5, version)(document);
 [major, minor] = py.item(document, "contract").split(".");
 version = [py.int(major), py.int(minor)];
 }
@@ -2113,7 +2122,7 @@ if (py.isinstance(schema, py.bool)) {
 return;
 }
 for ([word, entry] of py.iter(schema.entries())) {
-if ((py.contains(_ANNOTATION_KEYWORDS$38, word))) {
+if ((py.contains(_ANNOTATION_KEYWORDS$39, word))) {
 continue;
 }
 if ((py.eq(word, "$ref"))) {
@@ -2260,10 +2269,10 @@ known = (py.contains(py.get(fault.schema, "properties", []), name));
 return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield new RegExp(pattern).exec(name); })()).some(py.bool));
 }
 function manifest_type$manifest(kind) {
-if ((!py.contains(_MANIFEST_TYPES$39, kind))) {
+if ((!py.contains(_MANIFEST_TYPES$40, kind))) {
 throw new Error("kind");
 }
-return py.item(_MANIFEST_TYPES$39, kind);
+return py.item(_MANIFEST_TYPES$40, kind);
 }
 function read_graph$graph(file) {
   let facts, graph, inputs, outputs, weights;
@@ -2276,7 +2285,7 @@ outputs = py.list((function* () { for (const v of py.iter(graph.output)) yield _
 return new Graph$graph(inputs, outputs, py.list(graph.node), weights, (py.union((py.union(facts.tensors, weights)), py.dict((function* () { for (const t of py.iter([...py.iter(inputs), ...py.iter(outputs)])) yield [t.name, t]; })()))), py.set((function* () { for (const f of py.iter(file.proto.functions)) yield [f.domain, f.name]; })()), facts.conflicts, facts.checker, facts.inference, py.list((function* () { for (const v of py.iter(graph.output)) yield v.name; })()), py.list(py.map(_value_tensor$graph, graph.output)));
 }
 function _weight_tensor$graph(tensor) {
-return new Tensor$graph(tensor.name, py.get(_DTYPE_NAMES$40, tensor.data_type), py.list(tensor.dims));
+return new Tensor$graph(tensor.name, py.get(_DTYPE_NAMES$41, tensor.data_type), py.list(tensor.dims));
 }
 function _value_tensor$graph(value) {
   let dims, kind;
@@ -2288,7 +2297,7 @@ dims = null;
 if (py.bool(kind.HasField("shape"))) {
 dims = py.list((function* () { for (const d of py.iter(kind.shape.dim)) yield (py.bool(d.HasField("dim_value")) ? d.dim_value : py.or(d.dim_param, () => null)); })());
 }
-return new Tensor$graph(value.name, py.get(_DTYPE_NAMES$40, kind.elem_type), dims);
+return new Tensor$graph(value.name, py.get(_DTYPE_NAMES$41, kind.elem_type), dims);
 }
 function _merge_declared$graph(declared, inferred) {
   let dims, known, pairs;
@@ -2325,46 +2334,47 @@ yield* py.iter(_nested_nodes$graph(nested_node, (py.plus(depth, 1))));
 }
 const SCHEMAS = py.loads("{\"gaussian-generator\": {\"$schema\": \"https://json-schema.org/draft/2020-12/schema\", \"title\": \"gsgen manifest: gaussian-generator\", \"type\": \"object\", \"description\": \"The manifest of a Gaussian Generator: frame inputs → packed Gaussians.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"What people call the model.\", \"minLength\": 1}, \"inputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Input\"}, \"default\": []}, \"version\": {\"type\": \"string\", \"description\": \"The model's own version.\", \"default\": \"1.0.0\"}, \"family\": {\"type\": \"string\", \"description\": \"Method family: static, mlp, 4d, avatar, …\"}, \"producer\": {\"$ref\": \"#/$defs/Producer\"}, \"test_vectors\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/TestVector\"}, \"default\": []}, \"contract\": {\"type\": \"string\", \"description\": \"Contract version, major.minor.\", \"pattern\": \"^[0-9]+\\\\.[0-9]+$\", \"default\": \"1.0\"}, \"extensions_used\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Registered extensions that the manifest uses.\", \"default\": []}, \"extensions_required\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Those without which the model is misread.\", \"default\": []}, \"operator_profile\": {\"type\": \"string\", \"description\": \"The operators that suffice to run it: a profile's name.\"}, \"external_data\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/ExternalData\"}, \"default\": []}, \"cost\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Cost\"}, \"default\": []}, \"outputs\": {\"$ref\": \"#/$defs/GeneratorOutputs\"}, \"space\": {\"$ref\": \"#/$defs/Space\"}, \"bounds\": {\"$ref\": \"#/$defs/Bounds\"}, \"depends_on\": {\"type\": \"object\", \"additionalProperties\": {\"type\": \"boolean\"}, \"description\": \"Input or role → does any output change with it; absent means yes.\"}, \"antialias\": {\"enum\": [\"classic\", \"mip\"], \"description\": \"`classic`: 0.3 px dilation. `mip`: compensated.\", \"default\": \"classic\"}, \"blend\": {\"enum\": [\"alpha\", \"wsr\"], \"description\": \"`alpha`: sorted. `wsr`: weighted sum with cells.\", \"default\": \"alpha\"}, \"weighted_sum\": {\"$ref\": \"#/$defs/WeightedSum\"}, \"capture\": {\"$ref\": \"#/$defs/Capture\"}, \"tolerances\": {\"$ref\": \"#/$defs/Tolerances\"}, \"reference_images\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/ReferenceImage\"}, \"default\": []}, \"kind\": {\"enum\": [\"gaussian-generator\"], \"default\": \"gaussian-generator\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"contract\", \"kind\", \"name\", \"outputs\"], \"$defs\": {\"AppearanceOutput\": {\"type\": \"object\", \"description\": \"The output with the Gaussians' colours, [capacity, channels].\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"space\": {\"enum\": [\"sh\", \"rgb\"], \"description\": \"`sh`: coefficient-major, RGB innermost. `rgb`: raw colour.\"}, \"degree\": {\"type\": \"integer\", \"description\": \"SH degree; required for `sh`.\", \"minimum\": 0, \"maximum\": 3}, \"color_space\": {\"enum\": [\"srgb\", \"linear\"], \"default\": \"srgb\"}, \"range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Lowest and highest `rgb`; [0, 1] if absent.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"space\"]}, \"Bounds\": {\"type\": \"object\", \"description\": \"An axis-aligned box of all Gaussian centres for all inputs, checked with test inputs.\", \"properties\": {\"min\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Lower corner, x y z.\"}, \"max\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Upper corner, x y z.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"min\", \"max\"]}, \"Capture\": {\"type\": \"object\", \"description\": \"The model's promises to a runtime that records its GPU kernels once (graph capture).\", \"properties\": {\"static_shapes\": {\"type\": \"boolean\", \"default\": true}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"CellsOutput\": {\"type\": \"object\", \"description\": \"The output with cells (groups of Gaussians) for weighted blending, [capacity / per_cell, 10].\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"per_cell\": {\"type\": \"integer\", \"description\": \"Rows of Gaussians in a row to one cell.\", \"minimum\": 1}, \"dtype\": {\"enum\": [\"float32\", \"float16\"], \"default\": \"float32\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"per_cell\"]}, \"Cost\": {\"type\": \"object\", \"description\": \"The declared time and memory that one frame takes on one device.\", \"properties\": {\"device\": {\"type\": \"string\", \"description\": \"The device, as its driver calls it.\", \"minLength\": 1}, \"milliseconds\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Median time of one run.\"}, \"bytes\": {\"type\": \"integer\", \"description\": \"Peak memory of a session, weights included.\", \"minimum\": 0}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"device\"]}, \"CountOutput\": {\"type\": \"object\", \"description\": \"The output with the number of live Gaussian rows, int32 [1]; later rows are padding.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"semantics\": {\"enum\": [\"exact\", \"upper-bound\"], \"description\": \"`exact`: every row before it is drawn. `upper-bound`: some of them may be inert.\", \"default\": \"exact\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"ExternalData\": {\"type\": \"object\", \"description\": \"A file with external weights of the model, and the file's digest.\", \"properties\": {\"path\": {\"type\": \"string\", \"description\": \"As the model writes it: its `location`.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"path\", \"sha256\"]}, \"GaussiansOutput\": {\"type\": \"object\", \"description\": \"The output with packed Gaussians, [capacity, 10]: x y z opacity xx xy xz yy yz zz.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"capacity\": {\"type\": \"integer\", \"description\": \"Rows of the tensor, padding included.\", \"minimum\": 1}, \"dtype\": {\"enum\": [\"float32\", \"float16\"], \"default\": \"float32\"}, \"layout\": {\"enum\": [\"packed10\"], \"default\": \"packed10\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"capacity\"]}, \"GeneratorOutputs\": {\"type\": \"object\", \"description\": \"The outputs of a Gaussian Generator: Gaussians, appearance, row count, cells (groups).\", \"properties\": {\"gaussians\": {\"$ref\": \"#/$defs/GaussiansOutput\"}, \"appearance\": {\"$ref\": \"#/$defs/AppearanceOutput\"}, \"count\": {\"$ref\": \"#/$defs/CountOutput\"}, \"cells\": {\"$ref\": \"#/$defs/CellsOutput\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"Input\": {\"type\": \"object\", \"description\": \"One model input that a runtime feeds in every frame.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"role\": {\"type\": \"string\", \"description\": \"What the input means.\", \"enum\": [\"view\", \"projection\", \"time\", \"frame_index\", \"camera_position\", \"viewport\", \"pose\", \"shape\", \"root_translation\", \"root_rotation\", \"expression\", \"appearance_id\", \"audio\", \"condition\", \"control\", \"image\", \"image_view\", \"image_intrinsics\", \"timestep\", \"conditioning\", \"camera_history\"]}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 1}, \"description\": \"Static size of every axis.\"}, \"range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Smallest and largest meaningful value, both included.\"}, \"default\": {\"anyOf\": [{\"type\": \"number\"}, {\"enum\": [\"zeros\", \"identity\"]}, {\"type\": \"array\", \"items\": {\"type\": \"number\"}}], \"description\": \"What a runtime feeds if it has nothing better; row-major where a list.\"}, \"convention\": {\"type\": \"string\", \"description\": \"Which of the role's conventions it follows.\"}, \"loop\": {\"type\": \"boolean\", \"description\": \"Time: the end of the range continues at its start.\"}, \"frames\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Time: how many distinct frames there are.\"}, \"fps\": {\"type\": \"number\", \"description\": \"Time: frames per second at natural speed.\", \"minimum\": 0}, \"label\": {\"type\": \"string\", \"description\": \"What a user interface calls it.\"}, \"joints\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Joint\"}, \"description\": \"Pose: one joint for each row, in order.\", \"default\": []}, \"rate\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Audio: samples per second.\"}, \"window\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples under the window of one column.\"}, \"hop\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples from one column to the next.\"}, \"pass\": {\"enum\": [\"scene\", \"frame\"], \"description\": \"When its value changes: with the scene or with the frame; see `Passes`.\"}, \"background\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Image: RGB from 0 to 1 under transparent pixels; black if absent.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"role\"]}, \"Joint\": {\"type\": \"object\", \"description\": \"One joint of a skeleton; joints are listed in the order of a pose's rows.\", \"properties\": {\"name\": {\"type\": \"string\", \"minLength\": 1}, \"parent\": {\"type\": \"string\", \"description\": \"Name of its parent; absent for a root.\"}, \"rest\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Its position in the rest pose, in local units.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"Producer\": {\"type\": \"object\", \"description\": \"The author of the model, its sources, and its licence.\", \"properties\": {\"tool\": {\"type\": \"string\", \"description\": \"Program and version.\"}, \"source\": {\"type\": \"string\"}, \"license\": {\"type\": \"string\", \"description\": \"An SPDX expression.\"}, \"weights_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"tool\"]}, \"ReferenceImage\": {\"type\": \"object\", \"description\": \"A reference picture of the model, and the camera from which a render matches it.\", \"properties\": {\"path\": {\"type\": \"string\", \"description\": \"A PNG in the model's folder or below it.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}, \"inputs\": {\"type\": \"string\", \"description\": \"Which probe, by its label.\", \"minLength\": 1}, \"view\": {\"type\": \"array\", \"items\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 4, \"maxItems\": 4}, \"description\": \"World to camera: the first three rows of the matrix.\"}, \"focal\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Focal lengths in x and y, in pixels.\"}, \"center\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Principal point, in pixels from the corner.\"}, \"psnr\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Least peak signal-to-noise ratio, in decibels.\", \"default\": 40.0}, \"from\": {\"enum\": [\"model\", \"source\"], \"description\": \"`source`: drawn by the training code. `model`: by this model, as it was then.\", \"default\": \"model\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"path\", \"sha256\", \"inputs\", \"view\", \"focal\", \"center\"]}, \"Space\": {\"type\": \"object\", \"description\": \"The coordinate frame of Gaussians, cameras and bounds.\", \"properties\": {\"handedness\": {\"enum\": [\"right\"], \"default\": \"right\"}, \"up\": {\"enum\": [\"+x\", \"-x\", \"+y\", \"-y\", \"+z\", \"-z\"], \"description\": \"The world's upward axis.\", \"default\": \"-y\"}, \"unit\": {\"enum\": [\"metre\", \"arbitrary\"], \"description\": \"What one unit of length is; SfM scenes: arbitrary.\", \"default\": \"arbitrary\"}, \"matrix_order\": {\"enum\": [\"column\", \"row\"], \"description\": \"`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M.\", \"default\": \"column\"}, \"origin\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Where the local origin lies in the author's world, in units, as float64.\"}, \"metres_per_unit\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Length of one unit, in metres.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"TestVector\": {\"type\": \"object\", \"description\": \"A named set of test inputs, and the digest of the outputs that the model promises for it.\", \"properties\": {\"inputs\": {\"type\": \"string\", \"description\": \"Which probe, by its label.\"}, \"expected_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}, \"seed\": {\"type\": \"integer\", \"description\": \"Seed of the probe set.\", \"minimum\": 0, \"default\": 0}, \"files\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorFile\"}, \"description\": \"The inputs as files, for readers without the probe set.\", \"default\": []}, \"values\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorInput\"}, \"description\": \"The inputs themselves, instead of the probe's.\", \"default\": []}, \"outputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorRows\"}, \"description\": \"Rows of the source's outputs for `values`.\", \"default\": []}, \"tolerances\": {\"$ref\": \"#/$defs/Tolerances\", \"description\": \"For `outputs`; absent: the manifest's.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"inputs\", \"expected_sha256\"]}, \"Tolerances\": {\"type\": \"object\", \"description\": \"The largest allowed differences between two runs of the model, each field in its unit.\", \"properties\": {\"position\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"In standard deviations of the Gaussian.\", \"default\": 0.001}, \"covariance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Relative to the covariance's trace.\", \"default\": 0.001}, \"opacity\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute.\", \"default\": 0.002}, \"appearance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute, of the colour seen from a direction.\", \"default\": 0.002}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"VectorFile\": {\"type\": \"object\", \"description\": \"The file with one input of a test vector: an ONNX TensorProto.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"path\": {\"type\": \"string\", \"description\": \"A file in the model's folder or below it.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"path\", \"sha256\"]}, \"VectorInput\": {\"type\": \"object\", \"description\": \"The numbers of one input of a test vector, inside the manifest.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\"}}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"description\": \"All numbers, in row-major order.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"shape\", \"values\"]}, \"VectorRows\": {\"type\": \"object\", \"description\": \"Some rows of one output, as the original (torch) model computed them for a test vector.\", \"properties\": {\"output\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"rows\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 0}, \"description\": \"Row numbers, along the first axis.\"}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}}, \"description\": \"The numbers of each row, in the order of `rows`.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"output\", \"rows\", \"values\"]}, \"WeightedSum\": {\"type\": \"object\", \"description\": \"Parameters of weighted-sum blending per cell (group of Gaussians), for `blend: wsr`.\", \"properties\": {\"background\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Weight of the background.\"}, \"depth_range\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Depth at which weights reach 0, in units of length; absent: they do not fall.\"}, \"opacity_divisor\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"What opacity is divided by before it takes light away.\", \"default\": 1.0}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"background\"]}}}, \"post-process\": {\"$schema\": \"https://json-schema.org/draft/2020-12/schema\", \"title\": \"gsgen manifest: post-process\", \"type\": \"object\", \"description\": \"The manifest of a post-process model: image (and conditioning) → image.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"What people call the model.\", \"minLength\": 1}, \"inputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Input\"}, \"default\": []}, \"version\": {\"type\": \"string\", \"description\": \"The model's own version.\", \"default\": \"1.0.0\"}, \"family\": {\"type\": \"string\", \"description\": \"Method family: static, mlp, 4d, avatar, …\"}, \"producer\": {\"$ref\": \"#/$defs/Producer\"}, \"test_vectors\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/TestVector\"}, \"default\": []}, \"contract\": {\"type\": \"string\", \"description\": \"Contract version, major.minor.\", \"pattern\": \"^[0-9]+\\\\.[0-9]+$\", \"default\": \"1.0\"}, \"extensions_used\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Registered extensions that the manifest uses.\", \"default\": []}, \"extensions_required\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Those without which the model is misread.\", \"default\": []}, \"operator_profile\": {\"type\": \"string\", \"description\": \"The operators that suffice to run it: a profile's name.\"}, \"external_data\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/ExternalData\"}, \"default\": []}, \"cost\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Cost\"}, \"default\": []}, \"outputs\": {\"$ref\": \"#/$defs/PostProcessOutputs\"}, \"image_range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Values of black and white in the input image.\", \"default\": [0.0, 1.0]}, \"capture\": {\"$ref\": \"#/$defs/Capture\"}, \"kind\": {\"enum\": [\"post-process\"], \"default\": \"post-process\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"contract\", \"kind\", \"name\", \"outputs\"], \"$defs\": {\"Capture\": {\"type\": \"object\", \"description\": \"The model's promises to a runtime that records its GPU kernels once (graph capture).\", \"properties\": {\"static_shapes\": {\"type\": \"boolean\", \"default\": true}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"Cost\": {\"type\": \"object\", \"description\": \"The declared time and memory that one frame takes on one device.\", \"properties\": {\"device\": {\"type\": \"string\", \"description\": \"The device, as its driver calls it.\", \"minLength\": 1}, \"milliseconds\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Median time of one run.\"}, \"bytes\": {\"type\": \"integer\", \"description\": \"Peak memory of a session, weights included.\", \"minimum\": 0}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"device\"]}, \"ExternalData\": {\"type\": \"object\", \"description\": \"A file with external weights of the model, and the file's digest.\", \"properties\": {\"path\": {\"type\": \"string\", \"description\": \"As the model writes it: its `location`.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"path\", \"sha256\"]}, \"ImageOutput\": {\"type\": \"object\", \"description\": \"The image output of a post-process model, [1, 3 or 4, H, W], ``scale`` times its input's size.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"dtype\": {\"enum\": [\"float32\", \"float16\"], \"default\": \"float32\"}, \"range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Values of black and white.\", \"default\": [0.0, 1.0]}, \"color_space\": {\"enum\": [\"srgb\", \"linear\"], \"default\": \"srgb\"}, \"scale\": {\"type\": \"integer\", \"description\": \"Height and width, as multiples of those of the input image.\", \"minimum\": 1, \"default\": 1}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"Input\": {\"type\": \"object\", \"description\": \"One model input that a runtime feeds in every frame.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"role\": {\"type\": \"string\", \"description\": \"What the input means.\", \"enum\": [\"view\", \"projection\", \"time\", \"frame_index\", \"camera_position\", \"viewport\", \"pose\", \"shape\", \"root_translation\", \"root_rotation\", \"expression\", \"appearance_id\", \"audio\", \"condition\", \"control\", \"image\", \"image_view\", \"image_intrinsics\", \"timestep\", \"conditioning\", \"camera_history\"]}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 1}, \"description\": \"Static size of every axis.\"}, \"range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Smallest and largest meaningful value, both included.\"}, \"default\": {\"anyOf\": [{\"type\": \"number\"}, {\"enum\": [\"zeros\", \"identity\"]}, {\"type\": \"array\", \"items\": {\"type\": \"number\"}}], \"description\": \"What a runtime feeds if it has nothing better; row-major where a list.\"}, \"convention\": {\"type\": \"string\", \"description\": \"Which of the role's conventions it follows.\"}, \"loop\": {\"type\": \"boolean\", \"description\": \"Time: the end of the range continues at its start.\"}, \"frames\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Time: how many distinct frames there are.\"}, \"fps\": {\"type\": \"number\", \"description\": \"Time: frames per second at natural speed.\", \"minimum\": 0}, \"label\": {\"type\": \"string\", \"description\": \"What a user interface calls it.\"}, \"joints\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Joint\"}, \"description\": \"Pose: one joint for each row, in order.\", \"default\": []}, \"rate\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Audio: samples per second.\"}, \"window\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples under the window of one column.\"}, \"hop\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples from one column to the next.\"}, \"pass\": {\"enum\": [\"scene\", \"frame\"], \"description\": \"When its value changes: with the scene or with the frame; see `Passes`.\"}, \"background\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Image: RGB from 0 to 1 under transparent pixels; black if absent.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"role\"]}, \"Joint\": {\"type\": \"object\", \"description\": \"One joint of a skeleton; joints are listed in the order of a pose's rows.\", \"properties\": {\"name\": {\"type\": \"string\", \"minLength\": 1}, \"parent\": {\"type\": \"string\", \"description\": \"Name of its parent; absent for a root.\"}, \"rest\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Its position in the rest pose, in local units.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"PostProcessOutputs\": {\"type\": \"object\", \"description\": \"The output of a post-process model.\", \"properties\": {\"image\": {\"$ref\": \"#/$defs/ImageOutput\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"image\"]}, \"Producer\": {\"type\": \"object\", \"description\": \"The author of the model, its sources, and its licence.\", \"properties\": {\"tool\": {\"type\": \"string\", \"description\": \"Program and version.\"}, \"source\": {\"type\": \"string\"}, \"license\": {\"type\": \"string\", \"description\": \"An SPDX expression.\"}, \"weights_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"tool\"]}, \"TestVector\": {\"type\": \"object\", \"description\": \"A named set of test inputs, and the digest of the outputs that the model promises for it.\", \"properties\": {\"inputs\": {\"type\": \"string\", \"description\": \"Which probe, by its label.\"}, \"expected_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}, \"seed\": {\"type\": \"integer\", \"description\": \"Seed of the probe set.\", \"minimum\": 0, \"default\": 0}, \"files\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorFile\"}, \"description\": \"The inputs as files, for readers without the probe set.\", \"default\": []}, \"values\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorInput\"}, \"description\": \"The inputs themselves, instead of the probe's.\", \"default\": []}, \"outputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorRows\"}, \"description\": \"Rows of the source's outputs for `values`.\", \"default\": []}, \"tolerances\": {\"$ref\": \"#/$defs/Tolerances\", \"description\": \"For `outputs`; absent: the manifest's.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"inputs\", \"expected_sha256\"]}, \"Tolerances\": {\"type\": \"object\", \"description\": \"The largest allowed differences between two runs of the model, each field in its unit.\", \"properties\": {\"position\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"In standard deviations of the Gaussian.\", \"default\": 0.001}, \"covariance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Relative to the covariance's trace.\", \"default\": 0.001}, \"opacity\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute.\", \"default\": 0.002}, \"appearance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute, of the colour seen from a direction.\", \"default\": 0.002}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"VectorFile\": {\"type\": \"object\", \"description\": \"The file with one input of a test vector: an ONNX TensorProto.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"path\": {\"type\": \"string\", \"description\": \"A file in the model's folder or below it.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"path\", \"sha256\"]}, \"VectorInput\": {\"type\": \"object\", \"description\": \"The numbers of one input of a test vector, inside the manifest.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\"}}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"description\": \"All numbers, in row-major order.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"shape\", \"values\"]}, \"VectorRows\": {\"type\": \"object\", \"description\": \"Some rows of one output, as the original (torch) model computed them for a test vector.\", \"properties\": {\"output\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"rows\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 0}, \"description\": \"Row numbers, along the first axis.\"}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}}, \"description\": \"The numbers of each row, in the order of `rows`.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"output\", \"rows\", \"values\"]}}}, \"trajectory-predictor\": {\"$schema\": \"https://json-schema.org/draft/2020-12/schema\", \"title\": \"gsgen manifest: trajectory-predictor\", \"type\": \"object\", \"description\": \"The manifest of a trajectory predictor: past camera states → future states, uncertainty.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"What people call the model.\", \"minLength\": 1}, \"inputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Input\"}, \"default\": []}, \"version\": {\"type\": \"string\", \"description\": \"The model's own version.\", \"default\": \"1.0.0\"}, \"family\": {\"type\": \"string\", \"description\": \"Method family: static, mlp, 4d, avatar, …\"}, \"producer\": {\"$ref\": \"#/$defs/Producer\"}, \"test_vectors\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/TestVector\"}, \"default\": []}, \"contract\": {\"type\": \"string\", \"description\": \"Contract version, major.minor.\", \"pattern\": \"^[0-9]+\\\\.[0-9]+$\", \"default\": \"1.0\"}, \"extensions_used\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Registered extensions that the manifest uses.\", \"default\": []}, \"extensions_required\": {\"type\": \"array\", \"items\": {\"type\": \"string\", \"description\": \"The field of its data: x-writer-name.\", \"pattern\": \"^x-[a-z0-9]+(-[a-z0-9]+)*$\"}, \"description\": \"Those without which the model is misread.\", \"default\": []}, \"operator_profile\": {\"type\": \"string\", \"description\": \"The operators that suffice to run it: a profile's name.\"}, \"external_data\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/ExternalData\"}, \"default\": []}, \"cost\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Cost\"}, \"default\": []}, \"outputs\": {\"$ref\": \"#/$defs/TrajectoryOutputs\"}, \"step_seconds\": {\"type\": \"number\", \"description\": \"Time between two states, in seconds.\", \"minimum\": 0}, \"space\": {\"$ref\": \"#/$defs/Space\"}, \"tolerances\": {\"$ref\": \"#/$defs/TrajectoryTolerances\"}, \"kind\": {\"enum\": [\"trajectory-predictor\"], \"default\": \"trajectory-predictor\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"contract\", \"kind\", \"name\", \"outputs\", \"step_seconds\"], \"$defs\": {\"Cost\": {\"type\": \"object\", \"description\": \"The declared time and memory that one frame takes on one device.\", \"properties\": {\"device\": {\"type\": \"string\", \"description\": \"The device, as its driver calls it.\", \"minLength\": 1}, \"milliseconds\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Median time of one run.\"}, \"bytes\": {\"type\": \"integer\", \"description\": \"Peak memory of a session, weights included.\", \"minimum\": 0}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"device\"]}, \"ExternalData\": {\"type\": \"object\", \"description\": \"A file with external weights of the model, and the file's digest.\", \"properties\": {\"path\": {\"type\": \"string\", \"description\": \"As the model writes it: its `location`.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"path\", \"sha256\"]}, \"FutureOutput\": {\"type\": \"object\", \"description\": \"The output with predicted camera states, [time steps, values], nearest in time first.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"steps\": {\"type\": \"integer\", \"minimum\": 1}, \"representation\": {\"enum\": [\"position+quaternion-wxyz\", \"position+axis-angle\"]}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"steps\", \"representation\"]}, \"Input\": {\"type\": \"object\", \"description\": \"One model input that a runtime feeds in every frame.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"role\": {\"type\": \"string\", \"description\": \"What the input means.\", \"enum\": [\"view\", \"projection\", \"time\", \"frame_index\", \"camera_position\", \"viewport\", \"pose\", \"shape\", \"root_translation\", \"root_rotation\", \"expression\", \"appearance_id\", \"audio\", \"condition\", \"control\", \"image\", \"image_view\", \"image_intrinsics\", \"timestep\", \"conditioning\", \"camera_history\"]}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 1}, \"description\": \"Static size of every axis.\"}, \"range\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 2, \"maxItems\": 2, \"description\": \"Smallest and largest meaningful value, both included.\"}, \"default\": {\"anyOf\": [{\"type\": \"number\"}, {\"enum\": [\"zeros\", \"identity\"]}, {\"type\": \"array\", \"items\": {\"type\": \"number\"}}], \"description\": \"What a runtime feeds if it has nothing better; row-major where a list.\"}, \"convention\": {\"type\": \"string\", \"description\": \"Which of the role's conventions it follows.\"}, \"loop\": {\"type\": \"boolean\", \"description\": \"Time: the end of the range continues at its start.\"}, \"frames\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Time: how many distinct frames there are.\"}, \"fps\": {\"type\": \"number\", \"description\": \"Time: frames per second at natural speed.\", \"minimum\": 0}, \"label\": {\"type\": \"string\", \"description\": \"What a user interface calls it.\"}, \"joints\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/Joint\"}, \"description\": \"Pose: one joint for each row, in order.\", \"default\": []}, \"rate\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Audio: samples per second.\"}, \"window\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples under the window of one column.\"}, \"hop\": {\"type\": \"integer\", \"minimum\": 1, \"description\": \"Audio, mel: samples from one column to the next.\"}, \"pass\": {\"enum\": [\"scene\", \"frame\"], \"description\": \"When its value changes: with the scene or with the frame; see `Passes`.\"}, \"background\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Image: RGB from 0 to 1 under transparent pixels; black if absent.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\", \"role\"]}, \"Joint\": {\"type\": \"object\", \"description\": \"One joint of a skeleton; joints are listed in the order of a pose's rows.\", \"properties\": {\"name\": {\"type\": \"string\", \"minLength\": 1}, \"parent\": {\"type\": \"string\", \"description\": \"Name of its parent; absent for a root.\"}, \"rest\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Its position in the rest pose, in local units.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"Producer\": {\"type\": \"object\", \"description\": \"The author of the model, its sources, and its licence.\", \"properties\": {\"tool\": {\"type\": \"string\", \"description\": \"Program and version.\"}, \"source\": {\"type\": \"string\"}, \"license\": {\"type\": \"string\", \"description\": \"An SPDX expression.\"}, \"weights_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"tool\"]}, \"Space\": {\"type\": \"object\", \"description\": \"The coordinate frame of Gaussians, cameras and bounds.\", \"properties\": {\"handedness\": {\"enum\": [\"right\"], \"default\": \"right\"}, \"up\": {\"enum\": [\"+x\", \"-x\", \"+y\", \"-y\", \"+z\", \"-z\"], \"description\": \"The world's upward axis.\", \"default\": \"-y\"}, \"unit\": {\"enum\": [\"metre\", \"arbitrary\"], \"description\": \"What one unit of length is; SfM scenes: arbitrary.\", \"default\": \"arbitrary\"}, \"matrix_order\": {\"enum\": [\"column\", \"row\"], \"description\": \"`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M.\", \"default\": \"column\"}, \"origin\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"minItems\": 3, \"maxItems\": 3, \"description\": \"Where the local origin lies in the author's world, in units, as float64.\"}, \"metres_per_unit\": {\"type\": \"number\", \"exclusiveMinimum\": 0, \"description\": \"Length of one unit, in metres.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"TestVector\": {\"type\": \"object\", \"description\": \"A named set of test inputs, and the digest of the outputs that the model promises for it.\", \"properties\": {\"inputs\": {\"type\": \"string\", \"description\": \"Which probe, by its label.\"}, \"expected_sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}, \"seed\": {\"type\": \"integer\", \"description\": \"Seed of the probe set.\", \"minimum\": 0, \"default\": 0}, \"files\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorFile\"}, \"description\": \"The inputs as files, for readers without the probe set.\", \"default\": []}, \"values\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorInput\"}, \"description\": \"The inputs themselves, instead of the probe's.\", \"default\": []}, \"outputs\": {\"type\": \"array\", \"items\": {\"$ref\": \"#/$defs/VectorRows\"}, \"description\": \"Rows of the source's outputs for `values`.\", \"default\": []}, \"tolerances\": {\"$ref\": \"#/$defs/Tolerances\", \"description\": \"For `outputs`; absent: the manifest's.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"inputs\", \"expected_sha256\"]}, \"Tolerances\": {\"type\": \"object\", \"description\": \"The largest allowed differences between two runs of the model, each field in its unit.\", \"properties\": {\"position\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"In standard deviations of the Gaussian.\", \"default\": 0.001}, \"covariance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Relative to the covariance's trace.\", \"default\": 0.001}, \"opacity\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute.\", \"default\": 0.002}, \"appearance\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Absolute, of the colour seen from a direction.\", \"default\": 0.002}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"TrajectoryOutputs\": {\"type\": \"object\", \"description\": \"The outputs of a camera-trajectory predictor: future camera states, and uncertainty.\", \"properties\": {\"future\": {\"$ref\": \"#/$defs/FutureOutput\"}, \"uncertainty\": {\"$ref\": \"#/$defs/UncertaintyOutput\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"future\", \"uncertainty\"]}, \"TrajectoryTolerances\": {\"type\": \"object\", \"description\": \"The largest allowed differences between two runs of a trajectory predictor.\", \"properties\": {\"position\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"In units of length.\", \"default\": 0.001}, \"rotation\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Angle between two rotations, in radians.\", \"default\": 0.001}, \"uncertainty\": {\"type\": \"number\", \"minimum\": 0, \"description\": \"Relative.\", \"default\": 0.01}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": []}, \"UncertaintyOutput\": {\"type\": \"object\", \"description\": \"The output with the uncertainty of predicted camera states, one row per time step.\", \"properties\": {\"name\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"semantics\": {\"enum\": [\"standard-deviation\", \"covariance-upper\"], \"default\": \"standard-deviation\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"name\"]}, \"VectorFile\": {\"type\": \"object\", \"description\": \"The file with one input of a test vector: an ONNX TensorProto.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"path\": {\"type\": \"string\", \"description\": \"A file in the model's folder or below it.\", \"minLength\": 1}, \"sha256\": {\"type\": \"string\", \"description\": \"SHA-256, in lower-case hex.\", \"pattern\": \"^[0-9a-f]{64}$\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"path\", \"sha256\"]}, \"VectorInput\": {\"type\": \"object\", \"description\": \"The numbers of one input of a test vector, inside the manifest.\", \"properties\": {\"input\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"shape\": {\"type\": \"array\", \"items\": {\"type\": \"integer\"}}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}, \"description\": \"All numbers, in row-major order.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"input\", \"shape\", \"values\"]}, \"VectorRows\": {\"type\": \"object\", \"description\": \"Some rows of one output, as the original (torch) model computed them for a test vector.\", \"properties\": {\"output\": {\"type\": \"string\", \"description\": \"The tensor's name in the graph.\", \"minLength\": 1}, \"rows\": {\"type\": \"array\", \"items\": {\"type\": \"integer\", \"minimum\": 0}, \"description\": \"Row numbers, along the first axis.\"}, \"values\": {\"type\": \"array\", \"items\": {\"type\": \"array\", \"items\": {\"type\": \"number\"}}, \"description\": \"The numbers of each row, in the order of `rows`.\"}}, \"patternProperties\": {\"^x-\": true}, \"additionalProperties\": false, \"required\": [\"output\", \"rows\", \"values\"]}}}}");
 const MANIFEST_KINDS$0 = ["gaussian-generator", "post-process", "trajectory-predictor"];
-const ITEMSIZE$1 = py.dict([["float32", 4], ["float16", 2]]);
-const _SPDX$2 = new RegExp("^\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*(?:\\s+(?:AND|OR|WITH)\\s+\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*)*$", "");
-const ROLES$3 = py.dict([["view", new Role$roles("view", ["float32"], [[4, 4]], "World→camera matrix; memory order as declared.", ["gaussian-generator"], false, false, [])], ["projection", new Role$roles("projection", ["float32"], [[4, 4]], "Camera→clip matrix, depth 0..1.", ["gaussian-generator"], false, false, [])], ["time", new Role$roles("time", ["float32"], [[1]], "Time, in the declared range.", ["gaussian-generator"], false, false, [])], ["frame_index", new Role$roles("frame_index", ["int32"], [[1]], "Frame number.", ["gaussian-generator"], true, true, [])], ["camera_position", new Role$roles("camera_position", ["float32"], [[3]], "Camera centre, in local space.", ["gaussian-generator"], false, false, [])], ["viewport", new Role$roles("viewport", ["float32"], [[2]], "Width and height of the image, in pixels.", ["gaussian-generator"], false, false, [])], ["pose", new Role$roles("pose", ["float32"], [["J", 3], ["J", 4]], "Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].", ["gaussian-generator"], false, false, ["smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"])], ["shape", new Role$roles("shape", ["float32"], [["B"]], "Body shape coefficients.", ["gaussian-generator"], false, true, ["flame", "mano", "smplx-10"])], ["root_translation", new Role$roles("root_translation", ["float32"], [[3]], "Translation of the root, in local units.", ["gaussian-generator"], false, false, [])], ["root_rotation", new Role$roles("root_rotation", ["float32"], [[3], [3, 3]], "Rotation of the root, axis-angle [3] in radians or matrix [3,3].", ["gaussian-generator"], false, false, ["axis-angle", "matrix"])], ["expression", new Role$roles("expression", ["float32"], [["E"]], "Expression coefficients.", ["gaussian-generator"], false, true, ["flame", "arkit-52", "smplx-10"])], ["appearance_id", new Role$roles("appearance_id", ["int32"], [[1]], "Appearance.", ["gaussian-generator"], true, true, [])], ["audio", new Role$roles("audio", ["float32"], [["S"], ["W", "M"]], "Sound: S samples in [−1, 1], or W columns of M mel energies; newest last.", ["gaussian-generator"], false, false, ["samples", "mel"])], ["condition", new Role$roles("condition", ["float32", "int32"], [["*"]], "Numbers that another program computes, such as the tokens or the code of a text.", ["gaussian-generator"], false, true, [])], ["control", new Role$roles("control", ["float32"], [["*"]], "A named slider.", ["gaussian-generator", "post-process"], false, true, [])], ["image", new Role$roles("image", ["float32", "float16"], [[1, 3, "H", "W"], [1, 4, "H", "W"]], "Pictures, channels first: of the scene, or the rendered one.", ["gaussian-generator", "post-process"], false, false, [])], ["image_view", new Role$roles("image_view", ["float32"], [["V", 4, 4]], "World→camera matrix of each picture; memory order as declared.", ["gaussian-generator"], false, false, [])], ["image_intrinsics", new Role$roles("image_intrinsics", ["float32"], [["V", 3, 3]], "Pinhole matrix of each picture, in pixels of the `image` input.", ["gaussian-generator"], false, false, [])], ["timestep", new Role$roles("timestep", ["int32", "float32"], [[1]], "Diffusion timestep.", ["post-process"], false, true, [])], ["conditioning", new Role$roles("conditioning", ["float32", "float16"], [[1, "L", "D"], [1, "D"]], "Conditioning vectors, such as a text embedding.", ["post-process"], false, false, [])], ["camera_history", new Role$roles("camera_history", ["float32"], [["T", "S"]], "Past camera states, oldest first.", ["trajectory-predictor"], false, false, [])]]);
-const UPGRADE_BY_VERSION$4 = py.dict([[[1, 1], released$upgrades], [[1, 2], released$upgrades]]);
-const REGISTERED_EXTENSIONS$5 = py.dict([]);
-const READER_PROFILES$6 = py.dict([["portable-1", new OperatorProfile$reader_needs("portable-1", [13, 20], py.set(["Abs", "Acos", "Acosh", "Add", "And", "ArgMax", "ArgMin", "Asin", "Asinh", "Atan", "Atanh", "AveragePool", "BatchNormalization", "Cast", "CastLike", "Ceil", "Clip", "Concat", "Constant", "Conv", "ConvTranspose", "Cos", "Cosh", "CumSum", "DepthToSpace", "DequantizeLinear", "Div", "Einsum", "Elu", "Equal", "Erf", "Exp", "Expand", "Flatten", "Floor", "Gather", "GatherElements", "GatherND", "Gemm", "GlobalAveragePool", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity", "InstanceNormalization", "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "LogSoftmax", "LpNormalization", "MatMul", "Max", "MaxPool", "Min", "Mul", "Neg", "Not", "PRelu", "Pad", "Pow", "Reciprocal", "ReduceL1", "ReduceL2", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Relu", "Reshape", "Resize", "ScatterElements", "ScatterND", "Shape", "Sigmoid", "Sin", "Sinh", "Slice", "Softmax", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Tan", "Tanh", "ThresholdedRelu", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where"]), "What ONNX Runtime's WebGPU providers capture in float32; no control flow.")]]);
-const MAIN_DOMAIN$7 = ["", "ai.onnx"];
-const _SHAPE_RULES$8 = ["view", "projection", "time"];
-const _SHAPES_BY_KIND$9 = py.dict([[["image", "gaussian-generator"], [["V", 3, "H", "W"]]]]);
-const _SQUARE_SHAPES$10 = [[4, 4], [3, 3]];
-const JOINTS$11 = py.dict([["smpl-axis-angle", [24, 55]]]);
-const CONVENTION_SHAPES$12 = py.dict([[["pose", "flame"], [5, 3]], [["pose", "mano"], [16, 3]], [["shape", "flame"], ["B"]], [["shape", "mano"], [10]], [["shape", "smplx-10"], [10]], [["expression", "flame"], ["E"]], [["expression", "arkit-52"], [52]], [["expression", "smplx-10"], [10]], [["audio", "samples"], ["S"]], [["audio", "mel"], ["W", "M"]]]);
-const _USER_ROLES$13 = ["pose", "shape", "expression", "root_translation", "root_rotation", "appearance_id", "control", "timestep", "conditioning", "audio", "condition", "image_view", "image_intrinsics"];
-const _TIME_ROLES$14 = ["time", "frame_index"];
-const ROTATION_ROLES$15 = ["pose", "root_rotation"];
-const _SOUND_FIELDS$16 = ["rate", "window", "hop"];
-const PICTURE_ROLES$17 = ["image", "image_view", "image_intrinsics"];
-const _FRAME_ROLES$18 = ["view", "projection", "camera_position", "viewport", "time", "frame_index", "audio"];
-const COLUMN_MEANINGS$19 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
-const APPEARANCE_CHANNELS$20 = py.dict([["sh", [3, 12, 27, 48]], ["rgb", [3, 4]]]);
-const _COLOR_OUTPUT_WORDS$21 = ["color", "sh", "rgb"];
-const _COLOR_CHANNELS$22 = [3, 4, 12, 27, 48];
-const STATE_SIZES$23 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
-const CONTROL_FLOW$24 = py.set(["If", "Loop", "Scan"]);
-const RANDOM_OPERATORS$25 = py.set(["Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"]);
-const VIEW_OPERATORS$26 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
-const VARIADIC$27 = py.set(["Max", "Min"]);
-const _SCATTER_OPERATORS$28 = py.set(["ScatterElements", "ScatterND"]);
-const _DTYPE_BITS$29 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
-const _SHAPE_OPERATORS$30 = py.set(["Shape", "Size"]);
-const DATA_SIZED_OPERATORS$31 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
-const _INPUT_NAMES$32 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
-const _GAUSSIAN_NAMES$33 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
-const _COLOR_NAMES$34 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
-const SH_COEFFICIENT_COUNTS$35 = [1, 4, 9, 16];
-const _COUNT_NAMES$36 = ["num_points", "count", "num_gaussians", "n_points"];
-const CURRENT_VERSION$37 = [1, 0];
-const _ANNOTATION_KEYWORDS$38 = ["$schema", "$defs", "title", "description", "default", "examples"];
-const _MANIFEST_TYPES$39 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
-const _DTYPE_NAMES$40 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
+const _OPTIONAL_PATHS$1 = ["inputs.", "outputs.count", "outputs.cells"];
+const ITEMSIZE$2 = py.dict([["float32", 4], ["float16", 2]]);
+const _SPDX$3 = new RegExp("^\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*(?:\\s+(?:AND|OR|WITH)\\s+\\(*\\s*[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?\\s*\\)*)*$", "");
+const ROLES$4 = py.dict([["view", new Role$roles("view", ["float32"], [[4, 4]], "World→camera matrix; memory order as declared.", ["gaussian-generator"], false, false, [])], ["projection", new Role$roles("projection", ["float32"], [[4, 4]], "Camera→clip matrix, depth 0..1.", ["gaussian-generator"], false, false, [])], ["time", new Role$roles("time", ["float32"], [[1]], "Time, in the declared range.", ["gaussian-generator"], false, false, [])], ["frame_index", new Role$roles("frame_index", ["int32"], [[1]], "Frame number.", ["gaussian-generator"], true, true, [])], ["camera_position", new Role$roles("camera_position", ["float32"], [[3]], "Camera centre, in local space.", ["gaussian-generator"], false, false, [])], ["viewport", new Role$roles("viewport", ["float32"], [[2]], "Width and height of the image, in pixels.", ["gaussian-generator"], false, false, [])], ["pose", new Role$roles("pose", ["float32"], [["J", 3], ["J", 4]], "Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].", ["gaussian-generator"], false, false, ["smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"])], ["shape", new Role$roles("shape", ["float32"], [["B"]], "Body shape coefficients.", ["gaussian-generator"], false, true, ["flame", "mano", "smplx-10"])], ["root_translation", new Role$roles("root_translation", ["float32"], [[3]], "Translation of the root, in local units.", ["gaussian-generator"], false, false, [])], ["root_rotation", new Role$roles("root_rotation", ["float32"], [[3], [3, 3]], "Rotation of the root, axis-angle [3] in radians or matrix [3,3].", ["gaussian-generator"], false, false, ["axis-angle", "matrix"])], ["expression", new Role$roles("expression", ["float32"], [["E"]], "Expression coefficients.", ["gaussian-generator"], false, true, ["flame", "arkit-52", "smplx-10"])], ["appearance_id", new Role$roles("appearance_id", ["int32"], [[1]], "Appearance.", ["gaussian-generator"], true, true, [])], ["audio", new Role$roles("audio", ["float32"], [["S"], ["W", "M"]], "Sound: S samples in [−1, 1], or W columns of M mel energies; newest last.", ["gaussian-generator"], false, false, ["samples", "mel"])], ["condition", new Role$roles("condition", ["float32", "int32"], [["*"]], "Numbers that another program computes, such as the tokens or the code of a text.", ["gaussian-generator"], false, true, [])], ["control", new Role$roles("control", ["float32"], [["*"]], "A named slider.", ["gaussian-generator", "post-process"], false, true, [])], ["image", new Role$roles("image", ["float32", "float16"], [[1, 3, "H", "W"], [1, 4, "H", "W"]], "Pictures, channels first: of the scene, or the rendered one.", ["gaussian-generator", "post-process"], false, false, [])], ["image_view", new Role$roles("image_view", ["float32"], [["V", 4, 4]], "World→camera matrix of each picture; memory order as declared.", ["gaussian-generator"], false, false, [])], ["image_intrinsics", new Role$roles("image_intrinsics", ["float32"], [["V", 3, 3]], "Pinhole matrix of each picture, in pixels of the `image` input.", ["gaussian-generator"], false, false, [])], ["timestep", new Role$roles("timestep", ["int32", "float32"], [[1]], "Diffusion timestep.", ["post-process"], false, true, [])], ["conditioning", new Role$roles("conditioning", ["float32", "float16"], [[1, "L", "D"], [1, "D"]], "Conditioning vectors, such as a text embedding.", ["post-process"], false, false, [])], ["camera_history", new Role$roles("camera_history", ["float32"], [["T", "S"]], "Past camera states, oldest first.", ["trajectory-predictor"], false, false, [])]]);
+const UPGRADE_BY_VERSION$5 = py.dict([[[1, 1], released$upgrades], [[1, 2], released$upgrades]]);
+const REGISTERED_EXTENSIONS$6 = py.dict([]);
+const READER_PROFILES$7 = py.dict([["portable-1", new OperatorProfile$reader_needs("portable-1", [13, 20], py.set(["Abs", "Acos", "Acosh", "Add", "And", "ArgMax", "ArgMin", "Asin", "Asinh", "Atan", "Atanh", "AveragePool", "BatchNormalization", "Cast", "CastLike", "Ceil", "Clip", "Concat", "Constant", "Conv", "ConvTranspose", "Cos", "Cosh", "CumSum", "DepthToSpace", "DequantizeLinear", "Div", "Einsum", "Elu", "Equal", "Erf", "Exp", "Expand", "Flatten", "Floor", "Gather", "GatherElements", "GatherND", "Gemm", "GlobalAveragePool", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity", "InstanceNormalization", "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "LogSoftmax", "LpNormalization", "MatMul", "Max", "MaxPool", "Min", "Mul", "Neg", "Not", "PRelu", "Pad", "Pow", "Reciprocal", "ReduceL1", "ReduceL2", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Relu", "Reshape", "Resize", "ScatterElements", "ScatterND", "Shape", "Sigmoid", "Sin", "Sinh", "Slice", "Softmax", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Tan", "Tanh", "ThresholdedRelu", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where"]), "What ONNX Runtime's WebGPU providers capture in float32; no control flow.")]]);
+const MAIN_DOMAIN$8 = ["", "ai.onnx"];
+const _SHAPE_RULES$9 = ["view", "projection", "time"];
+const _SHAPES_BY_KIND$10 = py.dict([[["image", "gaussian-generator"], [["V", 3, "H", "W"]]]]);
+const _SQUARE_SHAPES$11 = [[4, 4], [3, 3]];
+const JOINTS$12 = py.dict([["smpl-axis-angle", [24, 55]]]);
+const CONVENTION_SHAPES$13 = py.dict([[["pose", "flame"], [5, 3]], [["pose", "mano"], [16, 3]], [["shape", "flame"], ["B"]], [["shape", "mano"], [10]], [["shape", "smplx-10"], [10]], [["expression", "flame"], ["E"]], [["expression", "arkit-52"], [52]], [["expression", "smplx-10"], [10]], [["audio", "samples"], ["S"]], [["audio", "mel"], ["W", "M"]]]);
+const _USER_ROLES$14 = ["pose", "shape", "expression", "root_translation", "root_rotation", "appearance_id", "control", "timestep", "conditioning", "audio", "condition", "image_view", "image_intrinsics"];
+const _TIME_ROLES$15 = ["time", "frame_index"];
+const ROTATION_ROLES$16 = ["pose", "root_rotation"];
+const _SOUND_FIELDS$17 = ["rate", "window", "hop"];
+const PICTURE_ROLES$18 = ["image", "image_view", "image_intrinsics"];
+const _FRAME_ROLES$19 = ["view", "projection", "camera_position", "viewport", "time", "frame_index", "audio"];
+const COLUMN_MEANINGS$20 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
+const APPEARANCE_CHANNELS$21 = py.dict([["sh", [3, 12, 27, 48]], ["rgb", [3, 4]]]);
+const _COLOR_OUTPUT_WORDS$22 = ["color", "sh", "rgb"];
+const _COLOR_CHANNELS$23 = [3, 4, 12, 27, 48];
+const STATE_SIZES$24 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
+const CONTROL_FLOW$25 = py.set(["If", "Loop", "Scan"]);
+const RANDOM_OPERATORS$26 = py.set(["Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"]);
+const VIEW_OPERATORS$27 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
+const VARIADIC$28 = py.set(["Max", "Min"]);
+const _SCATTER_OPERATORS$29 = py.set(["ScatterElements", "ScatterND"]);
+const _DTYPE_BITS$30 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
+const _SHAPE_OPERATORS$31 = py.set(["Shape", "Size"]);
+const DATA_SIZED_OPERATORS$32 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
+const _INPUT_NAMES$33 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
+const _GAUSSIAN_NAMES$34 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
+const _COLOR_NAMES$35 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
+const SH_COEFFICIENT_COUNTS$36 = [1, 4, 9, 16];
+const _COUNT_NAMES$37 = ["num_points", "count", "num_gaussians", "n_points"];
+const CURRENT_VERSION$38 = [1, 0];
+const _ANNOTATION_KEYWORDS$39 = ["$schema", "$defs", "title", "description", "default", "examples"];
+const _MANIFEST_TYPES$40 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
+const _DTYPE_NAMES$41 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
 /** @type {any} */
 export const RULES = [
 {"id": "GM001", "severity": "error", "hint": "Derive one with `gsgen inspect MODEL --emit-manifest > MANIFEST`, correct what it had to guess, and embed it with `gsgen fix MODEL --manifest MANIFEST -o COPY`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_present$manifest},
