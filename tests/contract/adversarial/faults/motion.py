@@ -204,7 +204,9 @@ fault(
     "Wrote the range of time as [high, low].",
     r"range",
     build=partial(_moving, _turns(TAU), {**TIME, "range": [1, 0]}),
-    sentence=Sentence("manifest.md", "`range` is [low, high] with low ≤ high, in numbers of the input's type"),
+    sentence=Sentence(
+        "manifest.md", "`range` is [low, high] with low ≤ high, in numbers of the input's type"
+    ),
 )
 fault(
     "time_is_a_scalar",
