@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from gsgen.conformance.fixtures.valid.companions import trajectory
 from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.rules.behaviour.steady_paths import fault_of_steady_path
 from gsgen.contract.rules.behaviour.trajectory import (
     covariance_fault,
-    fault_of_steady_path,
     predicted_quaternions_unit,
     prediction_finite,
 )

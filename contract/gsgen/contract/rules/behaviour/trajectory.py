@@ -13,8 +13,8 @@ from gsgen.contract.probing.behaviour_probes import (
     STRAIGHT_PATH_LABEL,
 )
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
+from gsgen.contract.rules.behaviour.steady_paths import MAX_STEP_ERROR, fault_of_steady_path
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
-from gsgen.contract.spec.geometry import quaternion_product, quaternions_of, rotation_vectors
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -27,13 +27,8 @@ _ROTATION = slice(3, None)
 _UNIT_QUATERNION_TOLERANCE = 1e-3
 # A dot product of quaternions, or a length beyond π, may be off by this much.
 _SIGN_SLACK = 1e-3
-# A motion from state to state may be off by this share of the history's: right models by less than
-# 0.1, those that stay by 1, that damp by half by 0.5, and axes exchanged or negated by 0.9 or more.
-_MAX_STEP_ERROR = 0.25
 # A step that is a smaller share of the coordinates is lost in the rounding of a model's float32.
 _MIN_STEP_RATIO = 2.0**-15
-# Another reading of states explains a fault if it leaves at most this error: 0 to 0.1 where it does.
-_MAX_EXPLAINED_ERROR = 0.1
 # On three straight paths that are orthogonal, motions go on by at least this share of the largest
 # in every direction, up left out where `space` tells it: 1 in right models, 0.4 in one that damps y.
 _MIN_ISOTROPY, _MIN_SPEED = 0.5, 0.2
@@ -44,9 +39,6 @@ _EIGENVALUE_SLACK = 1e-5
 _MIN_ORDER_MARGIN = 0.3
 # The largest drift of a predicted state, relative to the size of the coordinates.
 _MAX_REST_POSE_DRIFT = 2e-3
-# The same of places where only the rotation moves, and of rotations where only the place does:
-# networks leave a little.
-_MAX_CROSS_DRIFT = 0.02
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
@@ -288,91 +280,9 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
             fault = fault_of_steady_path(history, future, turning=turning, vertical=vertical)
             if fault:
                 actual = f"a camera that {words} at constant speed: {fault} ({run.probe.label!r})"
-                expected = f"each state goes on by one step, within {_MAX_STEP_ERROR:g} of it"
+                expected = f"each state goes on by one step, within {MAX_STEP_ERROR:g} of it"
                 yield Violation.at(f"output {future_name}", actual, expected)
                 return
-
-
-def fault_of_steady_path(
-    history: Float[np.ndarray, "t s"],
-    future: Float[np.ndarray, "k s"],
-    *,
-    turning: bool,
-    vertical: int | None = None,
-) -> str:
-    """Return how predictions leave a path of constant speed, and which reading explains it.
-
-    Args:
-        history: Past states of constant velocity, oldest first.
-        future: Predicted states.
-        turning: Whether the rotation goes on, rather than the place.
-        vertical: The axis along which motion may be damped; None for no axis.
-    """
-    error = _step_errors(history, future, turning=turning, vertical=vertical)[0].max()
-    if error <= _MAX_STEP_ERROR:
-        # The part of the states that rested stays at rest.
-        rest = _POSITION_COLUMNS if turning else _ROTATION
-        drift = np.abs(future[:, rest] - history[-1, rest]).max()
-        if drift <= _MAX_CROSS_DRIFT * max(1.0, np.abs(history[-1, rest]).max()):
-            return ""
-        return f"it {'moves' if turning else 'turns'} too, by {drift:.2g} in the predicted states"
-    # Explanations are tried: each is another reading, under which the same path goes on.
-    readings = {"states come farthest first; nearest first is right": future[::-1]}
-    if turning and future.shape[1] == STATE_SIZES["position+quaternion-wxyz"]:
-        readings["quaternions are written in the order x y z w"] = future[:, [0, 1, 2, 6, 3, 4, 5]]
-        readings["quaternions are written as their inverses"] = future * [1, 1, 1, 1, -1, -1, -1]
-    for words, states in readings.items():
-        explained = _step_errors(history, states, turning=turning, vertical=vertical)[0].max()
-        if explained <= _MAX_EXPLAINED_ERROR:
-            return words
-    errors, along, across = _step_errors(history, future, turning=turning, vertical=vertical)
-    number = int(np.argmax(errors > _MAX_STEP_ERROR))
-    start = "the state before" if number else "the newest state"
-    if across[number] > _MAX_STEP_ERROR:
-        place = f"{along[number]:.2g} steps on and {across[number]:.2g} aside of {start}"
-        return f"predicted state {number + 1} is {place}"
-    if np.ptp(along) <= _MAX_EXPLAINED_ERROR:
-        if abs(along[0]) <= _MAX_EXPLAINED_ERROR and abs(along[0]) > 0.001:
-            return f"each state goes on by {along[0]:.3g} steps, a speed in another unit"
-        speed = f"each state goes on by {along[0]:.2g} of the speed"
-        return f"{speed}: the order of the history is reversed" if along[0] < 0 else speed
-    return f"predicted state {number + 1} is {along[number]:.2g} steps on from {start}, not 1"
-
-
-def _step_errors(
-    history: Float[np.ndarray, "t s"],
-    future: Float[np.ndarray, "k s"],
-    *,
-    turning: bool,
-    vertical: int | None,
-) -> Float[np.ndarray, "3 k"]:
-    """Return each predicted step's error, its part along the history's step, and that across it.
-
-    All are relative to the length of that step, from the newest two states of the history.
-    """
-    states = np.vstack([history[-2:], future])
-    if turning:
-        quaternions = states[:, _ROTATION]
-        if quaternions.shape[1] != STATE_SIZES["position+quaternion-wxyz"] - 3:
-            quaternions = quaternions_of(quaternions)
-        inverse = quaternions * [1, -1, -1, -1]
-        steps = rotation_vectors(
-            np.stack(
-                [
-                    quaternion_product(later, earlier[None])[0]
-                    for later, earlier in zip(quaternions[1:], inverse[:-1], strict=True)
-                ]
-            )
-        )
-    else:
-        steps = np.diff(states[:, _POSITION_COLUMNS], axis=0)
-        if vertical is not None:
-            steps[:, vertical] = 0
-    length = max(float(np.linalg.norm(steps[0])), np.finfo(np.float32).tiny)
-    direction, motions = steps[0] / length, steps[1:] / length
-    along = motions @ direction
-    across = np.linalg.norm(motions - along[:, None] * direction, axis=1)
-    return np.stack([np.hypot(along - 1, across), along, across])
 
 
 def _slowest_direction(
