@@ -147,7 +147,7 @@ def _translate_index_reduce(
     return _translate_scatter_reduce(target, dim, indices, source, reduce, include_self)
 
 
-# Types of numbers that ONNX's Pow takes; others are raised as int64.
+# Types of numbers that ONNX Runtime raises; others are raised as float32 or int64.
 _POWER_TYPES: Final = (
     *(ir.DataType.FLOAT, ir.DataType.DOUBLE, ir.DataType.FLOAT16),
     *(ir.DataType.INT32, ir.DataType.INT64),
@@ -166,7 +166,8 @@ def _translate_power(base: Any, exponent: Any) -> Any:
     """Translate ``pow``: ONNX gives the result the base's type, torch the type of both together."""
     promoted = torch.result_type(_promotable(base), _promotable(exponent))
     result_type = from_torch_dtype(promoted)
-    power_type = result_type if result_type in _POWER_TYPES else ir.DataType.INT64
+    other_type = ir.DataType.FLOAT if promoted.is_floating_point else ir.DataType.INT64
+    power_type = result_type if result_type in _POWER_TYPES else other_type
 
     def cast(number: Any) -> Any:
         if isinstance(number, int | float):
@@ -175,7 +176,13 @@ def _translate_power(base: Any, exponent: Any) -> Any:
             number = _OPSET18.Cast(number, to=int(power_type))
         return number
 
-    power = _OPSET18.Pow(cast(base), cast(exponent))
+    base, exponent = cast(base), cast(exponent)
+    if not promoted.is_floating_point:
+        # Of whole numbers, torch takes 1 / 0 for 0: so does 0 to the power of 1.
+        zero = _OPSET18.CastLike(_OPSET18.Constant(value_int=0), base)
+        is_infinite = _OPSET18.And(_OPSET18.Equal(base, zero), _OPSET18.Less(exponent, zero))
+        exponent = _OPSET18.Where(is_infinite, _OPSET18.Neg(exponent), exponent)
+    power = _OPSET18.Pow(base, exponent)
     if power_type == result_type:
         return power
     return _OPSET18.Cast(power, to=int(result_type))
@@ -196,8 +203,17 @@ def _translate_copysign(magnitude: Any, sign: Any) -> Any:
 
 
 def _translate_hypot(a: Any, b: Any) -> Any:
-    """Translate ``prims.hypot`` to the root of the sum of both squares."""
-    return _OPSET18.Sqrt(_OPSET18.Add(_OPSET18.Mul(a, a), _OPSET18.Mul(b, b)))
+    """Translate ``prims.hypot``: the larger size times √(1 + ratio²), whose squares do not overflow."""
+    size_a, size_b = _OPSET18.Abs(a), _OPSET18.Abs(b)
+    large, small = _OPSET18.Max(size_a, size_b), _OPSET18.Min(size_a, size_b)
+    zero, one, infinity = (
+        _OPSET18.CastLike(_OPSET18.Constant(value_float=x), a) for x in (0.0, 1.0, float("inf"))
+    )
+    ratio = _OPSET18.Div(small, _OPSET18.Where(_OPSET18.Equal(large, zero), one, large))
+    size = _OPSET18.Mul(large, _OPSET18.Sqrt(_OPSET18.Add(one, _OPSET18.Mul(ratio, ratio))))
+    # An infinite side is longer than any other, also beside a NaN.
+    is_infinite = _OPSET18.Or(_OPSET18.Equal(size_a, infinity), _OPSET18.Equal(size_b, infinity))
+    return _OPSET18.Where(is_infinite, infinity, size)
 
 
 def _translate_number_extreme(operator: str) -> Callable[..., Any]:
