@@ -1,12 +1,17 @@
 """A scene file of segments plays the frames, resumes, and is the same bytes from any engine."""
 
 import json
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from gsgen.contract import validator
 from gsgen.contract.spec import layout
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
 from gsgen.formats import Splats, write_ply, write_sog
 from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.runtime.errors import SceneInvalid
@@ -214,3 +219,29 @@ def test_an_export_replaces_its_own_segments(tmp_path: Path) -> None:
     last.write_bytes(content)
     written = export(tmp_path, *OPTIONS)
     assert set(written) == {"clip.json", "0000.sog", "0001.onnx", "notes.txt"}
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="there are no alarms")
+def test_a_clip_out_of_time_ends_at_its_segment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not validated segment by segment without a limit; the next export resumes with it."""
+    write_sequence(tmp_path / "frames", rows=20, frames=FRAMES)
+    validate, levels = validator.validate, []
+
+    def validate_late(path: Path, settings: Settings, **options: Any) -> Report:
+        levels.append(settings.level)
+        if len(levels) == 1:
+            signal.raise_signal(signal.SIGALRM)
+        return validate(path, settings, **options)
+
+    monkeypatch.setattr(validator, "validate", validate_late)
+    scene = tmp_path / "clip.json"
+    arguments = ("export", "sequence", str(tmp_path / "frames"), "-o", str(scene), *OPTIONS)
+    ran = gsgen_here(*arguments, "--timeout", "600")
+    assert ran.code == 1
+    assert "out of time after 600 s (--timeout)" in ran.err
+    assert ran.err.endswith(f"{scene} was not written\n")
+    assert len(levels) == 2  # in time, and what a model out of time needs
+    assert not scene.exists()
+    assert "clip.json" in export(tmp_path, *OPTIONS)

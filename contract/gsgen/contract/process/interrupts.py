@@ -13,6 +13,7 @@ __all__ = [
     "OutOfTime",
     "Terminated",
     "end_on_interrupt",
+    "require_time",
     "time_limit",
 ]
 
@@ -56,6 +57,15 @@ class OutOfTime(KeyboardInterrupt):
         self.guard = guard
 
 
+_out_of_time: Final[list[OutOfTime]] = []  # what was raised in the present time limit
+
+
+def require_time() -> None:
+    """Raise OutOfTime once more if the time is over, which a part of the work went on without."""
+    for error in _out_of_time:
+        raise error
+
+
 @contextmanager
 def time_limit(seconds: float | None, late_message: str) -> Iterator[None]:
     """Raise OutOfTime once in a block that takes longer.
@@ -76,7 +86,8 @@ def time_limit(seconds: float | None, late_message: str) -> Iterator[None]:
     guard.daemon = True
 
     def raise_out_of_time(number: int, frame: FrameType | None) -> None:
-        raise OutOfTime(seconds, guard)
+        _out_of_time.append(OutOfTime(seconds, guard))
+        require_time()
 
     has_alarms = hasattr(signal, "setitimer")
     if has_alarms:
@@ -87,6 +98,7 @@ def time_limit(seconds: float | None, late_message: str) -> Iterator[None]:
         yield
     finally:
         guard.cancel()
+        _out_of_time.clear()
         if has_alarms:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, previous_handler)

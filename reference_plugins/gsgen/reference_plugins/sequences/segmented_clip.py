@@ -27,6 +27,7 @@ from typing import Any, Final
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write
+from gsgen.contract.process.interrupts import require_time
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import loads
@@ -229,6 +230,7 @@ class _SegmentTask:
     def clip(self, file: Path) -> dict[str, Any]:
         """Write the segment as a clip, and return its record."""
         exported = self.export.part(self.numbers, joined=self.joined).export(file, **self.options)
+        require_time()  # a clip that was not checked ends the export, which resumes with it
         assert exported.measured is not None
         return {
             "files": {file.name: self.frames},
