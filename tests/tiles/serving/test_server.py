@@ -1,6 +1,7 @@
 """`gsgen tiles serve`: what it answers, to whom, and what holds it."""
 
 import gzip
+import hashlib
 import socket
 import threading
 import time
@@ -165,6 +166,24 @@ def test_ranges_and_etags(server: TileServer) -> None:
     assert ask(server, "/t/a.glb", Range="bytes=0-3", If_Range='"other"').status == 200
     head = ask(server, "/t/a.glb", "HEAD")
     assert (head.headers["Content-Length"], head.data) == (str(len(BODY)), b"")
+
+
+@pytest.mark.parametrize("name", ["0_1f{}/meta.json", "0_1f/means_l{}.webp", "t/tile{}.glb"])
+def test_only_files_that_are_named_by_their_bytes_never_change(
+    folder: Path, server: TileServer, name: str
+) -> None:
+    """Eight digits may be a date, too."""
+    digest = hashlib.sha256(BODY).hexdigest()[:8]
+    for suffix, is_immutable in ((f"-{digest}", True), ("-20240115", False), ("", False)):
+        file = folder / name.format(suffix)
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(BODY)
+        for _ in range(2):
+            answer = ask(server, f"/{name.format(suffix)}")
+            assert ("immutable" in answer.headers["Cache-Control"]) is is_immutable
+    file = folder / name.format(f"-{digest}")
+    file.write_bytes(BODY + b"other")
+    assert ask(server, f"/{file.relative_to(folder)}").headers["Cache-Control"] == "no-cache"
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,8 @@ from typing import Any, Final
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, atomic_write
-from gsgen.contract.process.interrupts import require_time
 from gsgen.contract.process.drafts import temporary_folder
+from gsgen.contract.process.interrupts import require_time
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.units import format_bytes

@@ -3,12 +3,14 @@
 __all__ = ["TileServer", "serve_folder"]
 
 import gzip
+import hashlib
 import io
 import os
 import re
 import stat
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from http import HTTPStatus
 from pathlib import Path
 from typing import BinaryIO, Final, final
@@ -21,7 +23,7 @@ from gsgen.tiles.serving.faults import NetworkFaults
 
 _CHUNK_BYTES = 16 << 10
 _STALL_SECONDS = 60.0
-_MAX_PACKED_BYTES: Final = 64 << 20  # of a file that is packed in memory, for each answer
+_MAX_WHOLE_BYTES: Final = 64 << 20  # of a file that is read whole, to pack or to hash it
 _GZIP_LEVEL: Final = 6
 _RANGE_PATTERN = re.compile(r"^bytes=(\d*)-(\d*)$")
 _LONGEST_NUMBER = 18
@@ -134,7 +136,7 @@ class _Handler(LocalHandler):
         etag = f'"{status.st_mtime_ns:x}-{size:x}"'
         if "json" in _mime_type(file):
             headers = [("Vary", "Accept-Encoding")]
-            if size <= _MAX_PACKED_BYTES and "Range" not in self.headers and self._takes_gzip():
+            if size <= _MAX_WHOLE_BYTES and "Range" not in self.headers and self._takes_gzip():
                 etag = f'{etag[:-1]}-gzip"'
                 headers.append(("Content-Encoding", "gzip"))
         if etag in (self.headers.get("If-None-Match") or ""):
@@ -201,7 +203,7 @@ class _Handler(LocalHandler):
         self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
     ) -> None:
         self.send_response(status)
-        is_immutable = DIGEST_IN_PATH.search(file.as_posix()) is not None
+        is_immutable = _names_its_bytes(file, etag)
         cache_control = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [
             ("Content-Type", _mime_type(file)),
@@ -251,6 +253,15 @@ class _Handler(LocalHandler):
 
 def _mime_type(file: Path) -> str:
     return _MIME_TYPES.get(file.suffix.lower(), "application/octet-stream")
+
+
+@lru_cache(maxsize=1 << 14)
+def _names_its_bytes(file: Path, etag: str) -> bool:
+    """Return whether a path has the digest of its file, which has an ETag: others have a date."""
+    digest = DIGEST_IN_PATH.search(file.as_posix())
+    if digest is None or file.stat().st_size > _MAX_WHOLE_BYTES:
+        return False
+    return hashlib.sha256(file.read_bytes()).hexdigest().startswith(digest[1])
 
 
 def _is_served_name(name: str) -> bool:
