@@ -18,23 +18,24 @@ def turned(degrees: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "path",
     [
-        [(np.array([x, 0.0, -9.0]), LEVEL) for x in (0, 2, 4, 6, 8)],
-        [(np.array([0.0, 0.0, -9.0]), turned(angle)) for angle in (0, 0.01, 5, 80, 170)],
+        [(np.array([x, 0.0, -9.0]), LEVEL, 50) for x in (0, 2, 4, 6, 8)],
+        [(np.array([0.0, 0.0, -9.0]), turned(angle), 50) for angle in (0, 0.01, 5, 80, 170)],
+        [(np.array([0.0, 0.0, -9.0]), LEVEL, angle) for angle in (50, 49.99, 40, 20, 60)],
     ],
-    ids=["moving", "turning"],
+    ids=["moving", "turning", "zooming"],
 )
 def test_frames_that_are_drawn_are_forgotten(
-    path: list[tuple[np.ndarray, np.ndarray]], is_film: bool
+    path: list[tuple[np.ndarray, np.ndarray, float]], is_film: bool
 ) -> None:
     """The frame of the present moment has been requested by itself."""
     tree = tree_of([-1, 0, 0, 0])
-    frustums = [ViewSettings().frustum(*pose) for pose in path]
+    frustums = [ViewSettings(fov_y=angle).frustum(eye, turn) for eye, turn, angle in path]
     times = None if is_film else [float(number) for number in range(len(path))]
     prefetch = PathPrefetch(tree, frustums, 0.01, times=times)
     everything = np.ones(len(tree), bool)
-    for number, (eye, _) in enumerate(path):
+    for number, (eye, _, _) in enumerate(path):
         quaternion = matrix_quaternion(frustums[number].rotation.T)
-        prefetch.observe(Pose(float(number), eye, quaternion))
+        prefetch.observe(Pose(float(number), eye, quaternion, frustums[number].focal))
         assert prefetch.candidates(everything) == []
         first = number if is_film else number + 1
         assert sorted(prefetch._orders) == list(range(first, len(path)))

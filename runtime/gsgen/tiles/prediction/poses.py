@@ -25,11 +25,13 @@ class Pose:
         time: In seconds.
         position: Camera centre, in the root frame.
         quaternion: Camera → root frame, (w, x, y, z), unit length; OpenCV axes.
+        focal: Focal length as that of the frustum; None where it does not change.
     """
 
     time: float
     position: Vector
     quaternion: Quaternion
+    focal: float | None = None
 
 
 def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:

@@ -156,6 +156,7 @@ class PathPrefetch:
             turn = rotation_matrix(pose.quaternion[None])[0].T
             for frame, view in enumerate(self._frustums[self._frame :], self._frame):
                 is_same_eye = np.array_equal(view.eye, pose.position)
+                is_same_eye = is_same_eye and pose.focal in (None, view.focal)
                 if is_same_eye and np.allclose(view.rotation, turn, rtol=0, atol=1e-9):
                     self._frame = frame
                     break

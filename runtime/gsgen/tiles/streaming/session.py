@@ -451,7 +451,8 @@ class TilesetSession:
             loaded[self._partial_upload.tile] = True
         # What would not fit the pool is not asked for.
         loaded |= self._slots > self.pool_slots
-        pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
+        eye, focal = self._frustum.eye, self._frustum.focal
+        pose = Pose(time, eye, matrix_quaternion(self._frustum.rotation.T), focal)
         self._planner.frame(pose, cut, loaded)
         self._planner.fill(loaded, self._finer_files(time, cut))
         self._fetch_link.queue(self._next_requests(loaded))
