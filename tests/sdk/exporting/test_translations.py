@@ -157,6 +157,8 @@ def binary_calls() -> Iterator[tuple[str, Call]]:
     negative = torch.tensor([-1, -2, -3, -1, -2])
     for dtype in DTYPES[2:4]:
         yield f"{dtype} ** -n", cast_call(operator.pow, dtype, NUMBERS - 1, negative.to(dtype))
+    for dtype, number in product(DTYPES[:5], (-0.0, -3, 2.5)):
+        yield f"copysign {dtype} {number!r}", cast_call(torch.copysign, dtype, base, number)
     nan, inf = float("nan"), float("inf")
     numbers = torch.tensor([3.0, 1e30, 1e-30, 0.0, -2.0, nan, inf, inf, nan])
     others = torch.tensor([-0.0, 1e30, 1e-30, 0.0, nan, 0.5, nan, -inf, nan])

@@ -2,6 +2,7 @@
 
 __all__ = ["OPERATOR_TRANSLATIONS"]
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -189,11 +190,14 @@ def _translate_power(base: Any, exponent: Any) -> Any:
 
 
 def _translate_copysign(magnitude: Any, sign: Any) -> Any:
-    """Translate ``copysign`` of two tensors: the sign of -0.0 counts, which its reciprocal shows."""
+    """Translate ``copysign``: the sign of -0.0 counts, which its reciprocal shows."""
     promoted = torch.result_type(_promotable(magnitude), _promotable(sign))
     result_type = promoted if promoted.is_floating_point else torch.get_default_dtype()
     code = int(from_torch_dtype(result_type))
-    size, number = _OPSET18.Abs(_OPSET18.Cast(magnitude, to=code)), _OPSET18.Cast(sign, to=code)
+    size = _OPSET18.Abs(_OPSET18.Cast(magnitude, to=code))
+    if isinstance(sign, int | float):
+        return size if math.copysign(1, sign) > 0 else _OPSET18.Neg(size)
+    number = _OPSET18.Cast(sign, to=code)
     zero = _OPSET18.CastLike(_OPSET18.Constant(value_float=0.0), number)
     is_negative_zero = _OPSET18.And(
         _OPSET18.Equal(number, zero), _OPSET18.Less(_OPSET18.Reciprocal(number), zero)
@@ -236,6 +240,7 @@ OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
     torch.ops.prims.fmax.default: _translate_number_extreme("Max"),
     torch.ops.prims.fmin.default: _translate_number_extreme("Min"),
     torch.ops.aten.copysign.Tensor: _translate_copysign,
+    torch.ops.aten.copysign.Scalar: _translate_copysign,
     torch.ops.aten.pow.Tensor_Tensor: _translate_power,
     torch.ops.aten.pow.Tensor_Scalar: _translate_power,
     torch.ops.aten.pow.Scalar: _translate_power,
