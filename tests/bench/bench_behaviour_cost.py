@@ -1,7 +1,7 @@
 """What level behaviour costs beside an earlier commit: a ratio of processor times in one run.
 
-``GSGEN_BASELINE`` names the commit (by default the last one before probes looked from inside the
-scene), ``GSGEN_BENCH_MODELS`` a folder with models that both read; otherwise plugins export theirs,
+``GSGEN_BASELINE`` names the commit (by default the last one before the moments that manifest and
+text name were run), ``GSGEN_BENCH_MODELS`` a folder with models that both read; otherwise plugins export theirs,
 without test vectors, which the earlier commit does not know.
 Run by ``make bench``.
 """
@@ -19,9 +19,9 @@ from support.processor_time import cpu_seconds
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("contract", "sdk", "runtime", "reference_plugins")
-BASELINE = os.environ.get("GSGEN_BASELINE", "664e431")
+BASELINE = os.environ.get("GSGEN_BASELINE", "ed2f1976")
 METHODS = ("static", "hexplane-4dgs", "scaffold-gs", "gauhuman")
-MAX_TIME_RATIO = 1.3
+MAX_TIME_RATIO = 1.5
 ROUNDS = 5
 
 
