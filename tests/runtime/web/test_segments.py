@@ -23,7 +23,7 @@ const settled = () => new Promise((resolve) => setTimeout(resolve, 5));
 const taken = () => log.splice(0);
 const names = ["a", "b", "c"];
 const parts = names.map((path) => ({ path, seconds: 1 }));
-const open = () => segments.SegmentedModel.open(parts, ({ path }, signal) => openModel(path, signal));
+const open = () => segments.SegmentedModel.open({ segments: parts, capacity: 9 }, ({ path }, signal) => openModel(path, signal));
 const show = async (model, time) => {
   const error = await model.update({ time }).then(() => null, ({ message }) => message);
   await settled();
