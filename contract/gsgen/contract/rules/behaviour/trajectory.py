@@ -13,7 +13,6 @@ from gsgen.contract.probing.behaviour_probes import (
     STRAIGHT_PATH_LABEL,
 )
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
-from gsgen.contract.rules.behaviour.steady_paths import MAX_STEP_ERROR, fault_of_steady_path
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
@@ -251,6 +250,8 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
         Add the newest state minus the one before it, per step; multiply rotations by the newest
         one times the inverse of the one before.
     """
+    from gsgen.contract.rules.behaviour.steady_paths import MAX_STEP_ERROR, fault_of_steady_path
+
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     future_name, space = manifest.outputs.future.name, manifest.space
