@@ -1,8 +1,8 @@
 """What level behaviour costs beside an earlier commit: a ratio of processor times in one run.
 
 ``GSGEN_BASELINE`` names the commit (by default the last one before the moments that manifest and
-text name were run), ``GSGEN_BENCH_MODELS`` a folder with models that both read; otherwise plugins export theirs,
-without test vectors, which the earlier commit does not know.
+text name were run), ``GSGEN_BENCH_MODELS`` a folder with models that both read; otherwise plugins
+export theirs, without test vectors.
 Run by ``make bench``.
 """
 

@@ -50,10 +50,10 @@ def _numbers(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str
 
 def _with_number(document: dict[str, Any], path: tuple[str | int, ...], number: float) -> str:
     copied: Any = json.loads(json.dumps(document))
-    place = copied
+    parent = copied
     for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = number
+        parent = parent[key]
+    parent[path[-1]] = number
     return json.dumps(copied)
 
 
@@ -68,15 +68,15 @@ def test_any_declared_number_is_planned_for_within_bounds(
     fixture.draw().write(path)
     subject = inspect_model(open_model(path), load_target("core"), Limits())
     tracemalloc.start()
-    for place in _numbers(document):
+    for field in _numbers(document):
         for number in _EXTREMES:
-            parsed = parse(_with_number(document, place, number))
+            parsed = parse(_with_number(document, field, number))
             if parsed.manifest is None:
                 continue  # refused by the schema: nothing is run
             plan = make_plan(replace(subject, parsed=parsed), Level.BEHAVIOUR)
-            assert len(plan.probes) <= _MAX_PROBES, (place, number)
+            assert len(plan.probes) <= _MAX_PROBES, (field, number)
             for probe in plan.probes:
                 for name, array in probe.inputs.items():
-                    assert np.isfinite(array).all(), (place, number, probe.label, name)
+                    assert np.isfinite(array).all(), (field, number, probe.label, name)
     assert tracemalloc.get_traced_memory()[1] < _MAX_PLAN_BYTES
     tracemalloc.stop()

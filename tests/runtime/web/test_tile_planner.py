@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.tiles.prediction.poses import Pose, rotation_quaternion
+from gsgen.contract.spec.geometry import rotation_matrix, rotation_quaternion
+from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import ConstantVelocity
 from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.streaming.metrics import MetricsRecorder

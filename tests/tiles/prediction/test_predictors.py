@@ -9,14 +9,13 @@ import pytest
 from gsgen.conformance.fixtures.corpus import find
 from gsgen.contract.errors import InputUnreadable, UnknownName
 from gsgen.contract.manifest import FutureOutput, TrajectoryManifest, UncertaintyOutput
-from gsgen.contract.spec.geometry import quaternion_product, rotation_matrix
-from gsgen.tiles.prediction.poses import (
-    Pose,
-    interpolate,
-    matrix_quaternion,
+from gsgen.contract.spec.geometry import (
+    quaternion_product,
+    rotation_matrix,
     rotation_quaternion,
     rotation_vector,
 )
+from gsgen.tiles.prediction.poses import Pose, interpolate, matrix_quaternion
 from gsgen.tiles.prediction.predictor import ConstantVelocity
 from gsgen.tiles.prediction.predictors import predictor_maker
 from support.commands import gsgen_here

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gsgen.tiles.prediction.poses import Pose, matrix_quaternion, rotation_quaternion
+from gsgen.contract.spec.geometry import rotation_quaternion
+from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.prefetch import PathPrefetch, ViewSettings
 from support.tiles.request_trees import tree_of
 

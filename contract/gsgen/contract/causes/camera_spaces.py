@@ -95,10 +95,6 @@ def _relative_to_centre(camera: SeenRows) -> Float[np.ndarray, "n 3"]:
     return np.asarray(camera.position + camera.center)
 
 
-def _moved_by_centre(camera: SeenRows) -> Float[np.ndarray, "n 3"]:
-    return np.asarray(camera.position - camera.center)
-
-
 def _moved_along(axes: str) -> Callable[[SeenRows], Float[np.ndarray, "n 3"]]:
     is_followed = np.array([axis in axes for axis in "xyz"])
     return lambda camera: np.asarray(camera.position - camera.center * is_followed)
@@ -131,7 +127,7 @@ _SPACES: Final[dict[str, tuple[Callable[[SeenRows], Float[np.ndarray, "n 3"] | N
         "Add the camera's centre, −Rᵀt of the view matrix, back to the centres of the rows.",
     ),
     "moved by the camera's centre": (
-        _moved_by_centre,
+        _moved_along("xyz"),
         "Do not add the camera's centre to centres that are in local space already.",
     ),
     **{

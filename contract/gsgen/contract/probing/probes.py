@@ -31,8 +31,8 @@ from gsgen.contract.spec.geometry import (
     look_at,
     perspective,
     quaternion_product,
-    quaternions_of,
-    rotation_vectors,
+    rotation_quaternion,
+    rotation_vector,
 )
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
 
@@ -295,12 +295,12 @@ def turning_path(
     path = np.repeat(camera_history[-1:], len(camera_history), axis=0)
     has_vectors = path.shape[1] == STATE_SIZES["position+axis-angle"]
     if start is None:
-        start = quaternions_of(path[-1:, 3:])[0] if has_vectors else path[-1, 3:]
+        start = rotation_quaternion(path[-1, 3:]) if has_vectors else path[-1, 3:]
     # By the angle from the newest state back, so that the sign continues over a whole circle.
     steps = np.arange(len(path))[:, None] - (len(path) - 1)
-    turns = quaternions_of(steps * turn)
-    rotations = np.stack([quaternion_product(step, start[None])[0] for step in turns])
-    path[:, 3:] = rotation_vectors(rotations) if has_vectors else rotations
+    turns = rotation_quaternion(steps * turn)
+    rotations = np.stack([quaternion_product(step, start) for step in turns])
+    path[:, 3:] = rotation_vector(rotations) if has_vectors else rotations
     return path
 
 

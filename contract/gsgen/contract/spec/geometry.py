@@ -68,23 +68,22 @@ def quaternion_product(
     return np.asarray(right.astype(np.float64) @ matrix.T)
 
 
-def rotation_vectors(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3"]:
+def rotation_vector(quaternion: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
     """Return axis times angle, in radians and at most π, of quaternions (w, x, y, z) of either sign.
 
     Source: J. Solà 2017, "Quaternion kinematics for the error-state Kalman filter", equation 105a.
     """
-    quaternion = np.where(quaternions[:, :1] < 0, -quaternions, quaternions).astype(np.float64)
-    sine = np.linalg.norm(quaternion[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, quaternion[:, :1])
-    return np.asarray(angle / np.maximum(sine, 1e-12) * quaternion[:, 1:])
+    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion).astype(np.float64)
+    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, quaternion[..., :1])
+    return np.asarray(angle / np.maximum(sine, np.finfo(np.float64).tiny) * quaternion[..., 1:])
 
 
-def quaternions_of(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
+def rotation_quaternion(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
     """Return unit quaternions (w, x, y, z) of axes times angles, in radians."""
-    half_angle = np.linalg.norm(vectors, axis=1, keepdims=True).astype(np.float64) / 2
+    half_angle = np.linalg.norm(vector, axis=-1, keepdims=True).astype(np.float64) / 2
     # sin(x) / x without a division by 0; NumPy's sinc has π in it.
-    vector = vectors * np.sinc(half_angle / np.pi) / 2
-    return np.hstack([np.cos(half_angle), vector])
+    return np.concatenate([np.cos(half_angle), vector * np.sinc(half_angle / np.pi) / 2], axis=-1)
 
 
 def covariance_upper(

@@ -14,9 +14,10 @@ from gsgen.contract._safe_text import for_shell
 from gsgen.contract.errors import GsgenError, HostProcessFailed, InputUnreadable
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.fields.roles import STATE_SIZES
+from gsgen.contract.spec.geometry import rotation_quaternion, rotation_vector
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.manifest_io import loads
-from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_quaternion, rotation_vector
+from gsgen.tiles.prediction.poses import Pose, interpolate
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding import FrameSession

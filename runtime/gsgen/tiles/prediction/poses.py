@@ -1,8 +1,7 @@
-"""Camera poses over time: differences of rotations, and interpolation."""
+"""Camera poses over time, and interpolation between them."""
 
-__all__ = ["Pose", "interpolate", "matrix_quaternion", "rotation_quaternion", "rotation_vector"]
+__all__ = ["Pose", "interpolate", "matrix_quaternion"]
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -10,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.contract.spec.geometry import quaternion_product
+from gsgen.contract.spec.geometry import quaternion_product, rotation_quaternion, rotation_vector
 
 Quaternion = Float64[np.ndarray, " 4"]
 Vector = Float64[np.ndarray, " 3"]
@@ -47,25 +46,6 @@ def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
     )
     quaternion = np.linalg.eigh(symmetric_matrix)[1][:, -1]
     return np.asarray(quaternion if quaternion[0] >= 0 else -quaternion)
-
-
-def rotation_vector(quaternion: Quaternion) -> Vector:
-    """Return a quaternion's axis × angle in radians, at most π: the same for q and −q."""
-    if quaternion[0] < 0:
-        quaternion = -quaternion
-    sine = float(np.linalg.norm(quaternion[1:]))
-    if sine < 1e-12:
-        return 2 * quaternion[1:]
-    return np.asarray(quaternion[1:] * (2 * np.arctan2(sine, quaternion[0]) / sine))
-
-
-def rotation_quaternion(vector: Vector) -> Quaternion:
-    """Return the unit quaternion of a rotation vector, axis × angle in radians."""
-    x, y, z = vector.tolist()
-    angle = math.hypot(x, y, z)
-    scale = 0.5 if angle < 1e-12 else math.sin(angle / 2) / angle
-    quaternion = (math.cos(angle / 2), x * scale, y * scale, z * scale)
-    return np.array(quaternion) / math.hypot(*quaternion)
 
 
 def interpolate(poses: Sequence[Pose], time: float) -> Pose:

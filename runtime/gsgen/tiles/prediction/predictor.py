@@ -10,8 +10,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Float64
 
-from gsgen.contract.spec.geometry import quaternion_product
-from gsgen.tiles.prediction.poses import Pose, rotation_quaternion, rotation_vector
+from gsgen.contract.spec.geometry import quaternion_product, rotation_quaternion, rotation_vector
+from gsgen.tiles.prediction.poses import Pose
 
 VELOCITY_WINDOW: Final = 0.5
 """Seconds of the past from which constant velocity is taken."""

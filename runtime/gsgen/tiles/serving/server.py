@@ -132,17 +132,16 @@ class _Handler(LocalHandler):
     def _send_stream(self, stream: BinaryIO, *, with_body: bool, cut: bool) -> None:
         """Answer a request from an open file."""
         file, status = Path(stream.name), os.fstat(stream.fileno())
-        size, headers = status.st_size, []
-        etag = f'"{status.st_mtime_ns:x}-{size:x}"'
-        if "json" in _mime_type(file):
-            headers = [("Vary", "Accept-Encoding")]
-            if size <= _MAX_WHOLE_BYTES and "Range" not in self.headers and self._takes_gzip():
-                etag = f'{etag[:-1]}-gzip"'
-                headers.append(("Content-Encoding", "gzip"))
+        size, is_json = status.st_size, "json" in _mime_type(file)
+        is_packed = is_json and size <= _MAX_WHOLE_BYTES and "Range" not in self.headers
+        is_packed = is_packed and self._takes_gzip()
+        etag = f'"{status.st_mtime_ns:x}-{size:x}{"-gzip" if is_packed else ""}"'
+        headers = [("Vary", "Accept-Encoding")] if is_json else []
         if etag in (self.headers.get("If-None-Match") or ""):
-            self._write_head(HTTPStatus.NOT_MODIFIED, file, etag, headers[:1])
+            self._write_head(HTTPStatus.NOT_MODIFIED, file, etag, headers)
             return
-        if len(headers) > 1:
+        if is_packed:
+            headers.append(("Content-Encoding", "gzip"))
             stream = io.BytesIO(gzip.compress(stream.read(), _GZIP_LEVEL, mtime=0))
             size = len(stream.getbuffer())
         span = self._requested_byte_span(size, etag)

@@ -8,8 +8,8 @@ from typing import Final, final
 
 import numpy as np
 
-from gsgen.contract.spec.geometry import quaternion_product
-from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_vector
+from gsgen.contract.spec.geometry import quaternion_product, rotation_vector
+from gsgen.tiles.prediction.poses import Pose, interpolate
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.prediction.prefetch import HORIZON_FRACTIONS, PREDICTION_HORIZON, ViewSettings
 from gsgen.tiles.selection.cut import cut_tree

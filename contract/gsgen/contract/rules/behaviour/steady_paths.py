@@ -2,11 +2,13 @@
 
 __all__ = ["MAX_STEP_ERROR", "fault_of_steady_path"]
 
+from itertools import pairwise
+
 import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.spec.fields.roles import STATE_SIZES
-from gsgen.contract.spec.geometry import quaternion_product, quaternions_of, rotation_vectors
+from gsgen.contract.spec.geometry import quaternion_product, rotation_quaternion, rotation_vector
 
 _POSITION_COLUMNS = slice(0, 3)
 _ROTATION = slice(3, None)
@@ -35,8 +37,8 @@ def fault_of_steady_path(
         turning: Whether the rotation goes on, rather than the place.
         vertical: The axis along which motion may be damped; None for no axis.
     """
-    error = _step_errors(history, future, turning=turning, vertical=vertical)[0].max()
-    if error <= MAX_STEP_ERROR:
+    errors, along, across = _step_errors(history, future, turning=turning, vertical=vertical)
+    if errors.max() <= MAX_STEP_ERROR:
         # The part of the states that rested stays at rest.
         rest = _POSITION_COLUMNS if turning else _ROTATION
         drift = np.abs(future[:, rest] - history[-1, rest]).max()
@@ -52,12 +54,11 @@ def fault_of_steady_path(
         explained = _step_errors(history, states, turning=turning, vertical=vertical)[0].max()
         if explained <= _MAX_EXPLAINED_ERROR:
             return words
-    errors, along, across = _step_errors(history, future, turning=turning, vertical=vertical)
     number = int(np.argmax(errors > MAX_STEP_ERROR))
     start = "the state before" if number else "the newest state"
     if across[number] > MAX_STEP_ERROR:
-        place = f"{along[number]:.2g} steps on and {across[number]:.2g} aside of {start}"
-        return f"predicted state {number + 1} is {place}"
+        motion = f"{along[number]:.2g} steps on and {across[number]:.2g} aside of {start}"
+        return f"predicted state {number + 1} is {motion}"
     if np.ptp(along) <= _MAX_EXPLAINED_ERROR:
         if abs(along[0]) <= _MAX_EXPLAINED_ERROR and abs(along[0]) > 0.001:
             return f"each state goes on by {along[0]:.3g} steps, a speed in another unit"
@@ -81,16 +82,12 @@ def _step_errors(
     if turning:
         quaternions = states[:, _ROTATION]
         if quaternions.shape[1] != STATE_SIZES["position+quaternion-wxyz"] - 3:
-            quaternions = quaternions_of(quaternions)
-        inverse = quaternions * [1, -1, -1, -1]
-        steps = rotation_vectors(
-            np.stack(
-                [
-                    quaternion_product(later, earlier[None])[0]
-                    for later, earlier in zip(quaternions[1:], inverse[:-1], strict=True)
-                ]
-            )
-        )
+            quaternions = rotation_quaternion(quaternions)
+        turns = [
+            quaternion_product(later, earlier * [1, -1, -1, -1])
+            for earlier, later in pairwise(quaternions)
+        ]
+        steps = rotation_vector(np.stack(turns))
     else:
         steps = np.diff(states[:, _POSITION_COLUMNS], axis=0)
         if vertical is not None:

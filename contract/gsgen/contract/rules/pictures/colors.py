@@ -214,15 +214,9 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
     mistake, inverse = _diagnose_rgb(rgb)
     if mistake:
         actual = f"RGB from {rgb.min():.3g} to {rgb.max():.3g}, as if {mistake}"
-        location = Location(sample.emission.color_label)
-        expected = "colours that reach both halves of 0 to 1"
-        yield Violation(
-            where=location,
-            expected=expected,
-            actual=actual,
-            certainty="possible",
-            hint=_undo_hint(inverse),
-        )
+        where, expected = sample.emission.color_label, "colours that reach both halves of 0 to 1"
+        hint = _undo_hint(inverse)
+        yield Violation.at(where, actual, expected, certainty="possible", hint=hint)
 
 
 def _diagnose_rgb(rgb: Float[np.ndarray, "e 3"]) -> tuple[str, str]:
