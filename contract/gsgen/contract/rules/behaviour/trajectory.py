@@ -28,9 +28,10 @@ _UNIT_QUATERNION_TOLERANCE = 1e-3
 _SIGN_SLACK = 1e-3
 # A step that is a smaller share of the coordinates is lost in the rounding of a model's float32.
 _MIN_STEP_RATIO = 2.0**-15
-# On three straight paths that are orthogonal, motions go on by at least this share of the largest
-# in every direction, up left out where `space` tells it: 1 in right models, 0.4 in one that damps y.
-_MIN_ISOTROPY, _MIN_SPEED = 0.5, 0.2
+# On three straight paths that are orthogonal, cameras come as far as this share of the largest way
+# in every direction, up left out where `space` tells it: 1 in right models, 0.9 in a trained one,
+# 0.65 in one whose steps along x fall by 20 % each.
+_MIN_ISOTROPY, _MIN_SPEED = 0.75, 0.2
 # A negative eigenvalue of a covariance, relative to its largest one, that rounding explains.
 _EIGENVALUE_SLACK = 1e-5
 # The mean dot product of the newest state and the first prediction: above 0.9 in the right order of
@@ -281,7 +282,10 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
             fault = fault_of_steady_path(history, future, turning=turning, vertical=vertical)
             if fault:
                 actual = f"a camera that {words} at constant speed: {fault} ({run.probe.label!r})"
-                expected = f"each state goes on by one step, within {MAX_STEP_ERROR:g} of it"
+                expected = (
+                    f"the first state one step on, within {MAX_STEP_ERROR:g} of it; later ones go on "
+                    "so, or brake gently"
+                )
                 yield Violation.at(f"output {future_name}", actual, expected)
                 return
 
@@ -289,28 +293,32 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
 def _slowest_direction(
     behaviour: Behaviour, paths: list[ProbeRun]
 ) -> tuple[float, Float[np.ndarray, "3"]] | None:
-    """Return the smallest motion over the largest one of all directions, and its direction.
+    """Return the smallest way over the largest one of all directions, and its direction.
 
-    The motions to the first prediction on three orthogonal paths make a matrix; its symmetric part
-    is a multiple of the identity where all directions are alike.
+    The ways to a prediction on three orthogonal paths make a matrix; its symmetric part is a
+    multiple of the identity where all directions are alike. The prediction with the smallest share
+    counts.
     """
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
-    matrix = np.zeros((3, 3))
+    matrices = np.zeros((1, 3, 3))
     for run in paths:
         history, future = _history(behaviour, run), _future_states(behaviour, run)
         if future is None or len(history) < 2 or not _is_resolved(history):
             return None
         step = history[-1, _POSITION_COLUMNS] - history[-2, _POSITION_COLUMNS]
-        motion = future[0, _POSITION_COLUMNS] - history[-1, _POSITION_COLUMNS]
-        matrix += np.outer(motion, step) / (step @ step)
+        ways = future[:, _POSITION_COLUMNS] - history[-1, _POSITION_COLUMNS]
+        matrices = matrices + ways[:, :, None] * step / (step @ step)
     basis = np.eye(3)
     if manifest.space is not None:  # the vertical is an axis of its own
         basis = np.delete(basis, "xyz".index(manifest.space.up[1]), axis=0)
-    speeds, directions = np.linalg.eigh(basis @ (matrix + matrix.T) @ basis.T / 2)
-    if len(paths) < 3 or speeds[-1] < _MIN_SPEED:
+    symmetric = (matrices + matrices.transpose(0, 2, 1)) / 2
+    ways, directions = np.linalg.eigh(basis @ symmetric @ basis.T)
+    if len(paths) < 3 or ways[0, -1] < _MIN_SPEED:
         return None
-    return float(speeds[0] / speeds[-1]), directions[:, 0] @ basis
+    shares = ways[:, 0] / np.maximum(ways[:, -1], _MIN_SPEED)
+    least = int(shares.argmin())
+    return float(shares[least]), directions[least, :, 0] @ basis
 
 
 def _is_resolved(history: Float[np.ndarray, "t s"]) -> bool:
