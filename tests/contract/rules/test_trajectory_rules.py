@@ -104,21 +104,20 @@ def test_steady_paths_go_on_and_faults_are_named(turning: bool, vectors: bool) -
             assert "order x y z w" in fault_of_steady_path(history, last, turning=True)
 
 
-@pytest.mark.parametrize("aside", [0.0, 0.3])
-def test_predictions_may_brake_gently_over_the_horizon(aside: float) -> None:
+@pytest.mark.parametrize("wobble", [0.0, 0.3])
+def test_predictions_may_brake_over_the_horizon(wobble: float) -> None:
     states = steady_path(np.random.default_rng(1), 24, turning=False, vectors=False)
     history, future, speeds = states[:4], states[4:], np.linspace(1, 0, 20)
-    step, wobbles = (
-        states[1, :3] - states[0, :3],
-        np.cross(states[1, :3] - states[0, :3], [1, 0, 0]),
-    )
-    wobbles *= aside * np.linalg.norm(step) / np.linalg.norm(wobbles)
-    motions = speeds[:, None] * step + np.outer(np.arange(20) % 2, wobbles)
+    step = states[1, :3] - states[0, :3]
+    aside = np.cross(step, [1, 0, 0])
+    aside *= np.linalg.norm(step) / np.linalg.norm(aside)
+    motions = speeds[:, None] * step + np.outer(np.arange(20) % 2, wobble * aside)
     future[:, :3] = history[-1, :3] + motions.cumsum(axis=0)
     assert not fault_of_steady_path(history, future, turning=False)
-    late = future.copy()
-    late[12:, :3] += 1.2 * step
-    assert "predicted state 13" in fault_of_steady_path(history, late, turning=False)
+    for wrong in (-8 * step, 8 * step, 8 * aside):
+        late = future.copy()
+        late[12:, :3] = history[-1, :3] + 13 * step * (wrong @ step > 0) + wrong
+        assert "predicted state 13" in fault_of_steady_path(history, late, turning=False)
 
 
 def test_motion_along_the_vertical_may_be_damped() -> None:

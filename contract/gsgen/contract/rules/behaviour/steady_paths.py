@@ -1,6 +1,6 @@
 """How predicted states leave a path of constant speed, and which reading of them explains it."""
 
-__all__ = ["MAX_STEP_ERROR", "fault_of_steady_path"]
+__all__ = ["MAX_STEP_ERROR", "NEXT_STATES", "fault_of_steady_path"]
 
 from itertools import pairwise
 
@@ -14,12 +14,13 @@ _POSITION_COLUMNS = slice(0, 3)
 _ROTATION = slice(3, None)
 # The first predicted motion may be off by this share of the history's: right models by less than
 # 0.1, a trained one by 0.19 at eight times the speed that it saw, those that stay by 1, that damp by
-# half by 0.5, and axes exchanged or negated by 0.9 or more. Later motions may be off by twice that:
-# by 0.3 in the trained one. It also brakes over the horizon, since some of those whom it learned
-# from stop: from step to step by 0.3 at most, where a state told twice brakes by 1.
+# half by 0.5, and axes exchanged or negated by 0.9 or more. The motions to the other next states
+# may be off by twice that, and brake by a part of a step each: a state told twice brakes by 1.
+# Predictors that learned what people do brake more and more, since some of those stop: to 0.1 after
+# 20 states. There the whole way counts, not a step of it, within half of what it may be.
 MAX_STEP_ERROR = 0.25
-_MAX_LATER_ERROR = 0.5
-_MAX_BRAKING = 0.3
+_MAX_LATER_ERROR, _MAX_BRAKING = 0.5, 0.3
+NEXT_STATES = 5
 # Another reading of states explains a fault if it leaves at most this error: 0 to 0.1 where it does.
 _MAX_EXPLAINED_ERROR = 0.1
 # The largest drift of places where only the rotation moves, and of rotations where only the place
@@ -82,8 +83,8 @@ def _step_errors(
     """Return each predicted step's error, its part along the history's step, and that across it.
 
     All are relative to the length of that step, from the newest two states of the history. The
-    first predicted step goes on as that one; later ones do too, or brake step by step. Errors of
-    later steps are scaled to the limit of the first one.
+    first predicted step goes on as that one; later ones do too, or brake. Errors of later steps are
+    scaled to the limit of the first one.
     """
     states = np.vstack([history[-2:], future])
     if turning:
@@ -105,5 +106,11 @@ def _step_errors(
     across = np.linalg.norm(motions - along[:, None] * direction, axis=1)
     lowest = np.clip(along[:-1] - _MAX_BRAKING, 0, 1)
     right = np.append(1.0, np.clip(along[1:], lowest, 1))
-    scale = np.append(1.0, np.full(len(lowest), MAX_STEP_ERROR / _MAX_LATER_ERROR))
-    return np.stack([scale * np.hypot(along - right, across), along, across])
+    errors = np.hypot(along - right, across)
+    # Farther on: the way from the newest state, relative to that of a motion which does not brake.
+    ways = motions.cumsum(axis=0)
+    count = np.arange(1, len(ways) + 1)
+    ways -= np.clip(ways @ direction, 0, count)[:, None] * direction
+    errors[NEXT_STATES:] = (np.linalg.norm(ways, axis=1) / count)[NEXT_STATES:]
+    errors[1:] *= MAX_STEP_ERROR / _MAX_LATER_ERROR
+    return np.stack([errors, along, across])

@@ -28,9 +28,9 @@ _UNIT_QUATERNION_TOLERANCE = 1e-3
 _SIGN_SLACK = 1e-3
 # A step that is a smaller share of the coordinates is lost in the rounding of a model's float32.
 _MIN_STEP_RATIO = 2.0**-15
-# On three straight paths that are orthogonal, cameras come as far as this share of the largest way
-# in every direction, up left out where `space` tells it: 1 in right models, 0.9 in a trained one,
-# 0.65 in one whose steps along x fall by 20 % each.
+# On three straight paths that are orthogonal, the next cameras come as far as this share of the
+# largest way in every direction, up left out where `space` tells it: 1 in right models, 0.9 in
+# trained ones, 0.65 in one whose steps along x fall by 20 % each.
 _MIN_ISOTROPY, _MIN_SPEED = 0.75, 0.2
 # A negative eigenvalue of a covariance, relative to its largest one, that rounding explains.
 _EIGENVALUE_SLACK = 1e-5
@@ -295,10 +295,12 @@ def _slowest_direction(
 ) -> tuple[float, Float[np.ndarray, "3"]] | None:
     """Return the smallest way over the largest one of all directions, and its direction.
 
-    The ways to a prediction on three orthogonal paths make a matrix; its symmetric part is a
-    multiple of the identity where all directions are alike. The prediction with the smallest share
-    counts.
+    The ways to each of the next predictions on three orthogonal paths make a matrix; its symmetric
+    part is a multiple of the identity where all directions are alike. The prediction with the
+    smallest share counts.
     """
+    from gsgen.contract.rules.behaviour.steady_paths import NEXT_STATES
+
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     matrices = np.zeros((1, 3, 3))
@@ -307,7 +309,7 @@ def _slowest_direction(
         if future is None or len(history) < 2 or not _is_resolved(history):
             return None
         step = history[-1, _POSITION_COLUMNS] - history[-2, _POSITION_COLUMNS]
-        ways = future[:, _POSITION_COLUMNS] - history[-1, _POSITION_COLUMNS]
+        ways = future[:NEXT_STATES, _POSITION_COLUMNS] - history[-1, _POSITION_COLUMNS]
         matrices = matrices + ways[:, :, None] * step / (step @ step)
     basis = np.eye(3)
     if manifest.space is not None:  # the vertical is an axis of its own
