@@ -35,6 +35,9 @@ def natural_files(folder: Path) -> Iterator[Path]:
         (folder / "x.fbx").write_bytes(b"Kaydara FBX Binary  \x00\x1a\x00")
         (folder / "data").mkdir()
         (folder / "data/i.jpg").write_bytes(b"\xff\xd8\xff")
-        for words in (("convert", "a.ply", "a.spz"), ("tiles", "build", "a.ply", "-o", "tiles")):
+        for words in (
+            ("convert", "a.ply", "a.spz"),
+            ("tiles", "build", "a.ply", "-o", "tiles", "--engine", "serial"),
+        ):
             assert gsgen_here(*words, cwd=folder).code == 0
         yield folder

@@ -156,6 +156,7 @@ class UnknownName(ConfigInvalid):
         known: Iterable[str],
         where: str = "",
         words: Mapping[str, str] | None = None,
+        listing: str = "",
     ) -> "UnknownName":
         """Return the error for an unknown name, whose hint says which known name was meant.
 
@@ -165,15 +166,17 @@ class UnknownName(ConfigInvalid):
             known: The known names.
             where: Location of the name.
             words: Known name → other words for it, which count before similar letters do.
+            listing: What lists the known names, where they are too many for an error.
         """
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)
         meant = names_meant(name, dict.fromkeys(names, "") | dict(words or {}))
-        matches = meant or get_close_matches(name, names, n=1, cutoff=0.5)
+        matches = meant or get_close_matches(name, names, n=1, cutoff=0.65)
         is_short_list = len(names) <= _MAX_LISTED_NAMES
         nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
         examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."
+        examples_text = listing or examples_text
         known_text = f"Known: {', '.join(names) or 'none'}." if is_short_list else examples_text
         hint = f"Did you mean {' or '.join(map(repr, matches))}?" if matches else known_text
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Final
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from gsgen.cli.command_table import PANELS, Command, calls_meant, find_command, panels
+from gsgen.cli.command_table import PANELS, Command, advice_on, calls_meant, find_command, panels
 from gsgen.cli.options import OPTION_ORDER, with_known_values
 from gsgen.contract._entry_points import (
     Extension,
@@ -34,6 +34,7 @@ from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 PASS_THROUGH_SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True}
 
 _MAX_NAMED_COMMANDS: Final = 3
+_NUMBER: Final = re.compile(r"[-+]?\d*\.?\d+")
 _RULE_ID: Final = re.compile(r"G[A-Z]\d{3}")
 
 
@@ -106,7 +107,7 @@ class SubcommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first argument names; raise for an unknown name."""
         if not args[0].startswith("-") and args[0] not in self.commands:
-            raise _unknown_command(args, list(self.commands))
+            raise _unknown_command(args, list(self.commands), self.name or "")
         return super().resolve_command(ctx, args)
 
 
@@ -120,20 +121,39 @@ def _printable_errors() -> Iterator[None]:
             from gsgen.cli.option_words import explain_option
 
             explain_option(error, _commands_with)
+        if "unexpected extra argument" in str(getattr(error, "message", "")):
+            _name_arguments(error)
         if hasattr(error, "format_message") and hasattr(error, "message"):
             error.message = printable(str(error.message), kept_chars="\n\t")
         raise
+
+
+def _name_arguments(error: Any) -> None:
+    """Append the arguments of the command to an error about one too many."""
+    names = [
+        item.make_metavar(error.ctx).upper()
+        for item in error.ctx.command.params
+        if item.param_type_name == "argument"
+    ]
+    error.message += f". It takes {' '.join(names) or 'options alone'}."
 
 
 def _commands_with(option: str) -> list[str]:
     """Return the names of a few of gsgen's commands that have an option; it imports them."""
     commands = [command for panel in PANELS.values() for command in panel]
     names = (
-        entry.name
+        call
         for entry in commands
-        if any(option in item.opts for item in click_command(entry).params)
+        for call, command in _calls_of(entry.name, click_command(entry))
+        if any(option in item.opts for item in command.params)
     )
     return list(islice(names, _MAX_NAMED_COMMANDS))
+
+
+def _calls_of(name: str, command: Any) -> list[tuple[str, Any]]:
+    """Return a command and its subcommands, each with the words that call it."""
+    subcommands = getattr(command, "commands", {})
+    return [(name, command), *((f"{name} {word}", item) for word, item in subcommands.items())]
 
 
 def click_command(command: Command) -> Any:
@@ -272,7 +292,7 @@ class _OrderedCommand(TyperCommand):
         """Parse command-line arguments, and record parameter names in the order typed."""
         typed_args = list(args)
         try:
-            args = self._with_named_options(ctx, with_known_values(args))
+            args = self._with_named_options(ctx, self._with_joined_numbers(with_known_values(args)))
         except Exception as error:
             if getattr(error, "ctx", ctx) is None:
                 error.ctx = ctx  # type: ignore[attr-defined]  # for explain_option
@@ -288,7 +308,24 @@ class _OrderedCommand(TyperCommand):
 
                 error.message = output_hint(self.name or "", typed_args, values)
             error.param = self._missing_argument(error.param, values)
+            error.message = error.message or getattr(error.param, "help", None) or ""
             raise
+
+    def _with_joined_numbers(self, args: list[str]) -> list[str]:
+        """Return the arguments with ``--translate 1 0 0``, for example, written as ``1,0,0``."""
+        counts = {
+            option: str(item.metavar).count(",") + 1
+            for item in self.params
+            for option in item.opts
+            if item.param_type_name == "option" and "," in str(item.metavar)
+        }
+        joined = list(args)
+        for position in (index for index, word in enumerate(args) if word in counts):
+            numbers = args[position + 1 : position + 1 + counts[args[position]]]
+            if len(numbers) == counts[args[position]] and all(map(_NUMBER.fullmatch, numbers)):
+                start = len(joined) - len(args) + position + 1
+                joined[start : start + len(numbers)] = [",".join(numbers)]
+        return joined
 
     def _with_named_options(self, ctx: Any, args: list[str]) -> list[str]:
         """Return the arguments with ``--checkpoint`` or ``--output`` before a word that names such.
@@ -350,14 +387,17 @@ def _number_hint(message: str, parameter: Any) -> str:
     return f"{'' if message.endswith('.') else '.'} Give {noun}{lower_text}{'' if most is None else f' to {most:g}'}."
 
 
-def _unknown_command(typed_words: list[str], commands: list[str]) -> UnknownName:
+def _unknown_command(typed_words: list[str], commands: list[str], group: str = "") -> UnknownName:
     """Return the error for an unknown command: its hint is the call that was meant."""
     name, *arguments = typed_words
-    error = UnknownName.among("command", name, commands)
+    listing = "`gsgen --help` lists the commands."
+    error = UnknownName.among("command", name, commands, listing=listing)
     word = for_shell(name)
-    if calls := calls_meant(name):
+    if calls := calls_meant(name, arguments, group):
         texts = [_call_text(call, arguments) for call in calls]
         error.hint = f"Did you mean {' or '.join(texts)}?"
+    elif advice := advice_on(name):
+        error.hint = advice
     elif _RULE_ID.fullmatch(name.upper()):
         error.hint = f"Did you mean `gsgen explain {name.upper()}`?"
     elif os.path.exists(name):

@@ -1,8 +1,8 @@
 """The commands of the `gsgen` program as data: name, summary, module, and the extra they need."""
 
-__all__ = ["PANELS", "Command", "calls_meant", "find_command", "panels"]
+__all__ = ["PANELS", "Command", "advice_on", "calls_meant", "find_command", "panels"]
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from typing import Final
@@ -11,7 +11,41 @@ from gsgen.contract._entry_points import Extension, find_extensions
 from gsgen.contract.errors import names_meant
 
 _ENTRY_POINT_GROUP: Final = "gsgen.commands"
-_ROOT_OPTION_WORDS: Final = {"--version": "version", "--help": "usage commands"}
+_ROOT_OPTION_WORDS: Final = {
+    "--version": "version",
+    "--help": "usage commands",
+    "--install-completion": "completion completions complete autocomplete",
+}
+_SUBCOMMAND_WORDS: Final = {
+    "tiles build": "create make convert generate tile split lod merge optimize optimise",
+    "tiles info": "inspect show stats statistics list ls tree analyze analyse",
+    "tiles pack": "zip archive 3tz package bundle tilesettodatabase",
+    "tiles score": "compare psnr ssim quality",
+    "tiles serve": "host server http",
+    "tiles simulate": "stream network bench benchmark",
+    "viewer-kit check": "compare run test verify validate score",
+    "viewer-kit write": "export create make save generate init",
+}
+"""Call → the words for it after the name of its group, separated by spaces."""
+
+_ADVICE: Final = {
+    "gsgen trains nothing: `gsgen export METHOD` reads what training wrote, and `gsgen plugins` "
+    "lists the methods.": (
+        "train training fit ns-train ns-process-data process-data colmap sfm dataset simple-trainer"
+    ),
+    "pip does that: `pip install -U gsgen`; `gsgen doctor` prints the lines for missing parts.": (
+        "install uninstall update upgrade self-update pip"
+    ),
+    "Give an address (https, hf, s3, …) in place of a file; nothing is ever uploaded.": (
+        "pull push fetch download upload clone login get"
+    ),
+    "`gsgen references` declares pictures of a model, `gsgen validate --level render` compares.": (
+        "psnr ssim lpips metrics eval ns-eval evaluate score"
+    ),
+    "gsgen draws meshes, and makes none of splats.": "mesh extract-mesh marching-cubes tsdf poisson",
+    "Settings stand in gsgen.toml, or in [tool.gsgen] of pyproject.toml.": "config set-config settings",
+}
+"""Sentence → the words for what no command does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +101,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "new",
             "Create a plugin package NAME: a method, its export command, and passing tests.",
             "exporting.new:new",
-            "init create scaffold template plugin project cookiecutter",
+            "init create scaffold template project cookiecutter",
         ),
     ),
     "Export generators": (
@@ -77,13 +111,13 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "exporting.export:app",
             "onnx to-onnx ns-export onnx-export build",
             sequence="sequence flipbook ply-sequence",
-            html="html page webpage website embed publish share",
+            html="html page webpage website embed publish share threejs three babylon playcanvas",
         ),
         _make_command(
             "plugins",
             "List the installed plugins: method, model inputs, and the files that each reads.",
             "exporting.plugins:plugins",
-            "list ls methods models method train fit families supported available",
+            "list ls methods models method plugin families supported available",
         ),
         _make_command(
             "fix",
@@ -101,7 +135,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "float16",
             "Write a float16 copy of MODEL; nodes whose rounding error is too large stay float32.",
             "exporting.float16:float16 [sdk]",
-            "fp16 half quantize quantise quantization float32 fp32 precision",
+            "fp16 half quantize quantise quantization float32 fp32 precision int8 uint8 bf16 bfloat16",
         ),
     ),
     "Check models": (
@@ -116,7 +150,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "inspect",
             "Show a model's inputs, outputs and manifest; its weights are not read.",
             "checking.inspect:inspect",
-            "info show describe summary summarize stats statistics netron print cat manifest metadata dump head",
+            "info show describe summary summarize stats statistics netron print cat manifest metadata dump head shape shapes infer-shapes opset count tree",
         ),
         _make_command(
             "conformance",
@@ -178,20 +212,20 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "render",
             "Draw SCENES: splat files and meshes, and generators, which run for every frame.",
             "drawing.render:render [runtime]",
-            "draw screenshot picture pic image snapshot video film movie animate ns-render thumbnail turntable png mp4 gif frame frames",
+            "draw screenshot picture pic image snapshot video film movie animate ns-render thumbnail turntable png mp4 gif frame frames run infer inference predict gsplat",
         ),
         _make_command(
             "view",
             "Show SCENES in a window: orbit around them, play their time, and save pictures.",
             "drawing.view:view [runtime]",
-            "viewer open display play gui window ns-viewer simple-viewer look watch preview interactive supersplat",
-            __web="serve web browser server host http online",
+            "viewer open display play gui window ns-viewer simple-viewer look watch preview interactive supersplat viser rerun",
+            __web="serve web browser server host http online vr xr webxr",
         ),
         _make_command(
             "bench",
             "Measure the time and memory of a frame of each MODEL on each execution provider.",
             "exporting.bench:bench",
-            "benchmark profile perf performance time timing speed fps onnxruntime-perf-test",
+            "benchmark profile perf performance time timing speed fps onnxruntime-perf-test onnxruntime ort trtexec",
         ),
         _make_command(
             "bench-render",
@@ -205,7 +239,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "convert",
             "Write the splats of SOURCE to TARGET in another format, and print the losses.",
             "drawing.convert:convert",
-            "transform merge combine concat compress decompress pack unpack crop clip decimate prune clean filter rotate translate scale splat-transform ply spz sog splat glb gsbox",
+            "transform merge combine concat compress decompress pack unpack crop clip decimate prune clean filter rotate translate scale splat-transform ply spz sog splat glb gsbox trim edit resize denoise sample subsample downsample sort blender unity unreal pcd pointcloud",
             __help="formats suffixes",
         ),
         _make_command(
@@ -219,7 +253,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
             "tiles.group:app",
             "tileset",
-            build="tile tiling lod 3dtiles 3d-tiles octree stream streaming split",
+            build="tile tiling lod 3dtiles 3d-tiles octree stream streaming split cesium",
             serve="serve server host http",
         ),
     ),
@@ -236,11 +270,35 @@ def find_command(name: str) -> Command | None:
     return own_commands.get(name) or _extension_commands().get(name)
 
 
-def calls_meant(word: str) -> list[str]:
-    """Return the calls, such as ``tiles serve``, that people mean by a word that names no command."""
+def calls_meant(word: str, arguments: Sequence[str] = (), group: str = "") -> list[str]:
+    """Return the calls, such as ``tiles serve``, that people mean by a word that names no command.
+
+    Args:
+        word: The typed word.
+        arguments: The words after it: its subcommand, perhaps.
+        group: The group in which it was typed, such as ``tiles``, whose calls count first.
+    """
+    own_words = {call: text for call, text in _SUBCOMMAND_WORDS.items() if call.split()[0] == group}
+    by_last_word = {call.split()[1]: text for call, text in own_words.items()}
+    if own_calls := names_meant(word, by_last_word):
+        return [f"{group} {name}" for name in own_calls]
     commands = [command for panel in panels().values() for command in panel]
     words = {call: text for command in commands for call, text in command.words.items()}
-    return names_meant(word, words | _ROOT_OPTION_WORDS)
+    calls = names_meant(word, words | _ROOT_OPTION_WORDS)
+    groups = [call.split()[0] for call in calls]
+    return (
+        [
+            name if f"{name} {arguments[0]}" in _SUBCOMMAND_WORDS else call
+            for name, call in zip(groups, calls, strict=True)
+        ]
+        if arguments
+        else calls
+    )
+
+
+def advice_on(word: str) -> str:
+    """Return what to do in place of a command that gsgen does not have; empty if unknown."""
+    return next(iter(names_meant(word, _ADVICE)), "")
 
 
 def panels() -> dict[str, tuple[Command, ...]]:

@@ -3,75 +3,109 @@
 __all__ = ["explain_option"]
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import Any, Final
 
 from gsgen.contract.errors import names_meant
 
+_LISTING: Final = "`{command} --help` lists what it takes."
+_OUTPUT_ARGUMENTS: Final = ("folder", "output", "name")  # of commands that write to an argument
 _OPTION_WORDS: Final = {
     "--antialias": "aa anti-aliasing antialiasing anti-alias mip",
     "--background": "bg bgcolor bg-color background-color clear-color backdrop",
     "--background transparent": "transparent",
     "--background white": "white-background white-bg white",
-    "--box": "crop bbox aabb bounds filter-box clip region",
+    "--box": "B crop bbox aabb bounds filter-box clip region",
+    "--budget": "tolerance max-error",
     "--camera": "cam cameras camera-path camera-path-filename trajectory view viewpoint eye position",
-    "--camera orbit:AZIMUTH,ELEVATION,RADIUS": "azimuth elevation distance radius zoom dist orbit",
+    "--camera FILE#NUMBER": "camera-idx camera-index camera-id cam-idx view-index index idx",
+    "--camera look-at:EX,EY,EZ,TX,TY,TZ": "lookat look-at target",
+    "--camera orbit:AZIMUTH,ELEVATION,RADIUS": "azimuth elevation distance radius zoom dist orbit pitch yaw roll theta phi",
     "--checkpoint": "ckpt ckpt-path model-path load-config weights m checkpoint-path",
-    "--decimate": "max-splats max-gaussians target-count reduce simplify n filter-decimate",
-    "--drop-floaters": "remove-floaters filter-floaters clean outliers denoise sor prune",
-    "--drop-invalid": "filter-nan nan remove-nan n",
+    "--codec": "format compress compression draco",
+    "--count": "n views num",
+    "--decimate": "F max-splats max-gaussians target-count reduce simplify n filter-decimate percent "
+    "sample subsample downsample voxel-size ratio lod keep",
+    "--drop-floaters": "G remove-floaters filter-floaters clean outliers denoise sor prune",
+    "--drop-invalid": "N filter-nan nan remove-nan n",
     "--dry-run": "no-write simulate n",
     "--dtype": "precision data-type",
-    "--dtype float16": "fp16 half float16",
+    "--dtype float16": "fp16 half float16 quantize quantise",
     "--emit-manifest": "manifest",
     "--encoding": "binary",
     "--encoding ascii": "ascii text",
     "--fail-on warning": "warnings-as-errors werror error-on-warning max-warnings",
-    "--format": "type fmt output-format ext",
+    "--format": "type fmt output-format ext f",
     "--format html": "html",
     "--format junit": "junit xml",
     "--format markdown": "markdown md",
     "--format sarif": "sarif",
-    "--fov": "focal focal-length fovy fov-y field-of-view",
+    "--fov": "focal focal-length fovy fov-y field-of-view fovx hfov vfov",
     "--fps": "framerate frame-rate rate r",
     "--frames": "n num-frames n-frames frame-count iterations iters runs repeat repeats",
     "--height": "h",
     "--ignore": "skip exclude disable except suppress no-rule",
+    "--input NAME=VALUE": "set param params parameter var feed",
+    "--input time=FROM..TO": "time-range time-start start end ss",
+    "--into": "dir directory folder out-dir output-dir output",
     "--iteration": "iter step load-iteration",
     "--jobs": "threads workers n-workers num-workers parallel processes",
-    "--json": "as-json print-json",
+    "--json": "as-json print-json format yaml csv",
+    "--lat": "latitude lonlat latlon crs epsg",
+    "--leaf": "max-splats max-points lod lods levels max-level max-depth depth tile-size max-splats-per-tile",
+    "--level": "l",
+    "--level render": "full all thorough complete",
+    "--level static": "fast quick no-run no-validate no-validation skip-validation",
+    "--lon": "longitude lonlat latlon crs epsg",
+    "--mode": "render-mode output-names rendered-output-names show-output",
     "--mode alpha": "mask alpha",
     "--mode depth": "depth",
     "--mode normal": "normal normals",
-    "--only": "rule rules select check include",
-    "--output": "out outfile out-file output-file output-path outdir out-dir output-dir output-folder "
-    "save save-path save-to dest destination to result report write",
+    "--morton": "M sort order",
+    "--only": "rule rules select check include ruleset",
+    "--orthographic": "ortho parallel",
+    "--output": "out outfile out-file output-file output-path outdir out-dir output-dir "
+    "output-folder save save-path save-to dest destination to result report write",
+    "--panorama": "360 equirectangular equirect pano spherical cubemap",
+    "--pass": "passes fold simplify",
     "--port": "p",
+    "--post": "tonemap tone-mapping exposure gamma brightness contrast saturation lut",
     "--provider": "device backend ep execution-provider providers accelerator",
     "--provider cpu": "cpu use-cpu no-gpu",
     "--provider cuda": "cuda gpu",
     "--provider webgpu": "gpu use-gpu wgpu",
-    "--rotate": "r rotation flip",
-    "--scale": "s resize factor",
-    "--sh-degree": "sh sh-degrees degree harmonics filter-harmonics max-sh-degree",
-    "--size": "resolution res s image-size img-size geometry dimensions",
-    "--sphere": "filter-sphere crop-sphere",
+    "--rotate": "r rotation flip transform matrix z-up y-up up swap-yz up-axis",
+    "--scale": "s resize factor transform matrix",
+    "--sh-degree": "H sh sh-degrees degree harmonics filter-harmonics max-sh-degree bands sh-bands",
+    "--size": "resolution res s image-size img-size geometry dimensions overwrite-input-shape "
+    "input-shape shape",
+    "--sphere": "S filter-sphere crop-sphere",
     "--statistics": "stats summary info m",
+    "--target": "t runtime consumer",
+    "--target webgpu": "browser web webgpu",
+    "--time": "t timestep frame frames fps",
     "--timeout": "time-limit",
     "--tolerance": "atol rtol tol eps threshold",
-    "--translate": "t move offset shift center recenter centre",
+    "--translate": "t move offset shift center recenter centre transform matrix",
     "--trust": "unsafe no-sandbox",
     "--turn": "spin turntable",
     "--up": "up-axis axis vertical-axis z-up y-up",
     "--verbose": "debug v vv",
     "--web": "browser http page open",
-    "--where": "filter filter-value filter-by filter-opacity min-opacity opacity-threshold keep",
+    "--where": "V filter filter-value filter-by filter-opacity min-opacity opacity-threshold keep",
     "--width": "w",
+    "--workers": "jobs threads j n-workers num-workers parallel processes",
 }
-"""Option, perhaps with a value → other words for it, separated by spaces, without hyphens."""
+"""Option, perhaps with a value → other words for it, separated by spaces, without hyphens.
+
+A capital letter is an option of its own.
+"""
 
 _ADVICE: Final = {
     "A video of 5 s has --frames 125 --fps 25.": "duration seconds length t",
-    "Everything is printed already; some commands print more as --json.": "verbose debug v vv",
+    "Everything is printed already; some commands print more as --json.": (
+        "verbose debug v vv log-level verbosity inputs outputs nodes weights ops operators"
+    ),
     "Existing files are replaced without asking: leave it out.": "overwrite y yes f force w replace",
     "It prints to standard output: > FILE writes that to a file.": "o output out report write",
     "Name the file without an option, after the command.": (
@@ -80,14 +114,49 @@ _ADVICE: Final = {
     ),
     "Name the folder of the iteration, such as point_cloud/iteration_7000.": "iteration iter step",
     "Set the environment variable NO_COLOR=1.": "no-color no-colour color colour",
-    "Notes and progress go to stderr, which 2>/dev/null hides.": "quiet q silent",
+    "Notes and progress go to stderr, which 2>/dev/null hides.": "quiet q silent no-progress progress",
     "The first frame is measured apart: leave it out.": "warmup warm-up",
-    "`gsgen COMMAND --help` lists what the command takes.": "list list-formats formats list-options",
+    _LISTING: "list list-formats formats list-options commands",
     "`gsgen rules` lists the rules.": "list-rules",
+    "`gsgen rules WORD` lists the rules that have a word.": "grep category search find query",
     "A video is AV1 in .mp4, which ffmpeg converts to other codecs.": (
-        "codec vcodec crf bitrate quality pix-fmt preset"
+        "c codec vcodec crf bitrate pix-fmt preset vf"
     ),
     "A .gif repeats by itself, and a player repeats an .mp4.": "loop repeat",
+    "A copy is written, never the input: give -o FILE.": "i in-place inplace backup",
+    "`gsgen fix MODEL -o FILE` writes a repaired copy.": "fix autofix repair",
+    "16 bits are the fewest: `gsgen float16` writes them.": (
+        "int8 uint8 int4 bf16 quantize fp16 half float16"
+    ),
+    "The result is compared with the input by itself: leave it out.": "verify no-verify check",
+    "The suffix of the output chooses format and quality: .png and .ply lose nothing.": (
+        "quality jpeg-quality compression compression-level precision"
+    ),
+    "The same command resumes what was stopped.": "resume continue restart",
+    "`gsgen --version` prints it.": "version",
+    "There are no clip planes to set: leave it out.": (
+        "near far near-plane far-plane znear zfar near-clip far-clip"
+    ),
+    "Draw a larger --size, and scale the picture down.": (
+        "supersample supersampling ssaa msaa samples spp resolution-scale downscale-factor"
+    ),
+    "Splats hold their light, and are drawn in their size: leave it out.": (
+        "light lights shadow shadows environment envmap ibl point-size splat-scale splat-size"
+    ),
+    "Floats above 1 are kept in an .exr: name the output so.": "hdr exr float",
+    "A file of cameras holds lenses, such as COLMAP's: --camera FILE.": "fisheye distortion lens",
+    "Draw each eye by a --camera of its own.": "stereo vr sbs",
+    "`gsgen view` shows it in a window, `gsgen view --web` in the browser.": (
+        "show preview display interactive gui window open fullscreen"
+    ),
+    "`gsgen export html` writes a page to share.": "share public publish upload",
+    "The page is one file that needs no network: leave it out.": (
+        "single-file inline offline self-contained standalone embed"
+    ),
+    "Drawing validates nothing: leave it out.": "no-validate skip-validation no-check",
+    "`gsgen references` declares pictures, and `gsgen validate --level render` compares.": (
+        "compare psnr ssim lpips images metrics eval"
+    ),
 }
 """Sentence → the words of options that it answers where the command has no option for them."""
 
@@ -99,24 +168,64 @@ def explain_option(error: Any, commands_with: Callable[[str], Sequence[str]]) ->
         error: The error, whose message is changed.
         commands_with: Returns the names of a few commands that have an option.
     """
-    typed = str(error.option_name)
+    typed, command = str(error.option_name), error.ctx.command
     if not hasattr(error, "possibilities"):
-        error.message += _value_advice(typed, error.ctx.command)
+        error.message += _value_advice(typed, command)
         return
-    own_options = set(_option_names(error.ctx.command))
-    meant = names_meant(typed, _OPTION_WORDS)
+    meant, own_options = _meant_options(typed), list(_option_names(command))
     here = [option for option in meant if option.split()[0] in own_options]
-    if here:
-        hint = f"Did you mean {' or '.join(here)}?"
-    elif advice := names_meant(typed, _ADVICE):
-        hint = advice[0]
-    elif elsewhere := commands_with(meant[0].split()[0] if meant else typed):
-        option = meant[0] if meant else typed
-        hint = f"{option} is an option of {', '.join(f'`gsgen {name}`' for name in elsewhere)}."
-    else:
-        return
+    near_options = here or _near_options(typed, own_options)
+    near = [f"Did you mean {' or '.join(near_options)}?"] if near_options else []
+    advice = _output_advice(typed, command) or names_meant(typed, _ADVICE)[:1]
+    is_letter = len(typed.lstrip("-")) == 1
+    hints = near if here else near + advice if is_letter else advice or near
+    option = (meant[0] if meant else typed).split()[0]
+    if not hints and not is_letter and (names := commands_with(option)):
+        calls = ", ".join(f"`gsgen {name}`" for name in names)
+        hints = [f"{meant[0] if meant else typed} is an option of {calls}."]
+    hint = " ".join(hints or [_LISTING]).replace("{command}", error.ctx.command_path)
     error.message = f"{error.message}. {hint}"
     error.possibilities = []
+
+
+def _meant_options(typed: str) -> list[str]:
+    """Return the options, some with a value, that people mean by another, whose case counts for a letter."""
+    letter = typed.lstrip("-")
+    capital = [name for name, words in _OPTION_WORDS.items() if letter in words.split()]
+    is_capital = len(letter) == 1 and letter.isupper()
+    return capital if is_capital and capital else names_meant(typed, _OPTION_WORDS)
+
+
+def _near_options(typed: str, own_options: Sequence[str]) -> list[str]:
+    """Return options of the command that begin with the typed letter, share a word, or are misspelt."""
+    from difflib import SequenceMatcher  # imported on failure only: start-up time counts
+
+    word = typed.lstrip("-").replace("_", "-").casefold()
+    ratio_by_option = {
+        option: SequenceMatcher(None, word, option[2:]).ratio()
+        for option in own_options
+        if option.startswith("--")
+    }
+    near = [
+        option
+        for option, ratio in ratio_by_option.items()
+        if (option[2] == word if len(word) == 1 else _shares_word(word, option[2:]) or ratio > 0.75)
+    ]
+    return sorted(near, key=ratio_by_option.__getitem__, reverse=True)[:3]
+
+
+def _shares_word(first: str, second: str) -> bool:
+    """Return whether two names between hyphens have a word in common, or the beginning of one."""
+    pairs = product(first.split("-"), second.split("-"))
+    by_length = (sorted(pair, key=len) for pair in pairs)
+    return any(len(short) >= 3 and long.startswith(short) for short, long in by_length)
+
+
+def _output_advice(typed: str, command: Any) -> list[str]:
+    """Return where an output belongs if the command has an argument for it."""
+    names = [item.human_readable_name for item in command.params if item.name in _OUTPUT_ARGUMENTS]
+    is_output = typed.lstrip("-") in ("o", "out", "output", "output-dir")
+    return [f"Type {names[0]} without an option, after the command."] if is_output and names else []
 
 
 def _value_advice(option: str, command: Any) -> str:

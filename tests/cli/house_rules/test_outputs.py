@@ -46,6 +46,7 @@ def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def run_writing_command(name: str, output: str) -> tuple[int, list[str]]:
     before, suffix, after, _ = WRITING_COMMANDS[name]
     completed = gsgen_here(*before, f"{output}{suffix}", *after)
+    assert completed.code or f"{output}{suffix}" in completed.out  # it says what it wrote
     return completed.code, [
         line for line in completed.err.splitlines() if line.startswith("gsgen: ")
     ] if "Traceback" not in completed.err else [completed.err]
@@ -91,11 +92,19 @@ def _left() -> list[str]:
     return sorted(result)
 
 
-@pytest.mark.parametrize("name", ["export", "render pictures", "convert"])
-def test_missing_parent_folders_are_created(name: str) -> None:
-    code, message = run_writing_command(name, "new/and/deep")
+@pytest.mark.parametrize(
+    ("name", "output"),
+    [
+        ("validate", "out"),
+        ("export", "new/and/deep"),
+        ("render pictures", "new/and/deep"),
+        ("convert", "new/and/deep"),
+    ],
+)
+def test_an_output_is_named_and_missing_parent_folders_are_created(name: str, output: str) -> None:
+    code, message = run_writing_command(name, output)
     assert (code, message) == (0, [])
-    assert Path(f"new/and/deep{WRITING_COMMANDS[name][1]}").exists()
+    assert Path(f"{output}{WRITING_COMMANDS[name][1]}").exists()
 
 
 @pytest.mark.parametrize("words", [("rules",), ("--help",)])

@@ -37,7 +37,9 @@ def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
     target.parent.mkdir()
     completed = gsgen_here("validate", nan, "--format", "json", "-o", target)
     assert completed.code == 1
-    assert completed.out == ""
+    written, verdict = completed.out.splitlines()
+    assert written == f"wrote {target}"
+    assert verdict.startswith(f"{nan}: invalid")
     assert json.loads(target.read_text())["verdict"] == "invalid"
     assert [path.name for path in target.parent.iterdir()] == ["report.json"]
 

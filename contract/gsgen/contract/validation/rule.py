@@ -290,7 +290,8 @@ class Registry:
         typed_match = _TYPED_ID_PATTERN.fullmatch(name)
         if typed_match is None:
             rule_slugs = [entry.slug for entry in self.rules.values()]
-            raise UnknownName.among("rule", name, rule_slugs, where)
+            listing = "`gsgen rules` lists them, `gsgen rules WORD` those that have a word."
+            raise UnknownName.among("rule", name, rule_slugs, where, listing=listing)
         hint = _nearest_id(typed_match[1], int(typed_match[2]), list(self.rules))
         raise UnknownName(f"unknown rule {name!r}", where=where, hint=hint)
 

@@ -99,7 +99,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="static",
-    words="3dgs gaussian-splatting gaussian-splat 3d-gaussian-splatting gsplat splatfacto inria splat "
+    words="3dgs mcmc 3dgs-mcmc gsplat-mcmc gof trellis pixelsplat mvsplat gaussian-splatting gaussian-splat 3d-gaussian-splatting gsplat splatfacto inria splat "
     "splats gs ply point-cloud pointcloud vanilla nerfstudio mip-splatting",
     summary="A splat file or a coloured point cloud, unchanging.",
     reads=f"Reads {SPLAT_FORMATS}: splats of SH degree 0 to 4, a point cloud (a PLY with red, "

@@ -98,7 +98,9 @@ def repair(
         repair_steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not repair_steps:
         raise GsgenError(
-            "the model has no fault that gsgen can repair without guessing", where=str(source)
+            "the model has no fault that gsgen can repair without guessing",
+            where=str(source),
+            hint=f"`gsgen validate {source}` lists its faults.",
         )
     model = load_model(source)
     _check_symbols(model, request.sizes)

@@ -21,10 +21,11 @@ from gsgen.cli.options import (
     complete_rules,
     complete_severities,
 )
-from gsgen.cli.output import echo_commands, echo_error, echo_text
-from gsgen.contract.errors import ExitCode, UnknownName
+from gsgen.cli.output import echo, echo_commands, echo_error, echo_text
+from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 
 if TYPE_CHECKING:
+    from gsgen.contract.reporters.text import Line
     from gsgen.contract.validation.baseline import Baseline
     from gsgen.contract.validation.report import Entry
     from gsgen.contract.validation.rule import Registry
@@ -115,8 +116,11 @@ _REPORTER_BY_FORMAT = {
 }
 
 
-# Suffix of a report's file → its format; others hold text.
+# Suffix of a report's file → its format.
 _FORMAT_BY_SUFFIX: Final = {
+    "": Format.TEXT,
+    ".log": Format.TEXT,
+    ".txt": Format.TEXT,
     ".htm": Format.HTML,
     ".html": Format.HTML,
     ".json": Format.JSON,
@@ -180,7 +184,7 @@ def validate(
     if as_json:
         format = Format.JSON
     elif format is None:
-        format = _FORMAT_BY_SUFFIX.get(output.suffix.lower() if output else "", Format.TEXT)
+        format = _format_of(output) if output else Format.TEXT
     options = {
         "level": level,
         "target": target,
@@ -206,6 +210,18 @@ def validate(
         entries = [_with_pictures(entry, settings) for entry in entries]
     _print(entries, format, output, verbose=verbose, quiet=quiet)
     raise typer.Exit(_exit_code(entries))
+
+
+def _format_of(output: Path) -> "Format":
+    format = _FORMAT_BY_SUFFIX.get(output.suffix.lower())
+    if format is None:
+        raise ConfigInvalid(
+            f"has the suffix {output.suffix}, expected that of a report: "
+            f"{', '.join(filter(None, _FORMAT_BY_SUFFIX))}",
+            where=str(output),
+            hint="Change the suffix, or give --format.",
+        )
+    return format
 
 
 def _settings(registry: "Registry", options: dict[str, Any]) -> "Settings":
@@ -244,6 +260,7 @@ def _print(
 ) -> None:
     from gsgen.cli.output import show, write_text
     from gsgen.cli.progress import clear
+    from gsgen.contract.process.atomic_files import is_device
     from gsgen.contract.validation.report import Unreadable
 
     clear()
@@ -251,23 +268,28 @@ def _print(
         if isinstance(entry, Unreadable):
             echo_error(entry.error)
     if format is not Format.TEXT:
-        text = _format_entries(entries, format)
-        if output:
-            write_text(output, text + "\n")
-        elif format is Format.GITHUB:
-            echo_commands(text)
-        else:
-            echo_text(text)
-        if format is Format.GITHUB:
-            _append_job_summary(entries)
-        return
+        text = _format_entries(entries, format) + "\n"
+    elif output:
+        text = "".join(f"{line.text}\n" for line in _lines(entries, verbose=verbose, quiet=quiet))
+    if output:
+        write_text(output, text)
+        if output != Path("-") and not is_device(output):
+            echo(f"wrote {output}")
+            show(_lines(entries, quiet=True))
+    elif format is Format.TEXT:
+        show(_lines(entries, verbose=verbose, quiet=quiet))
+    elif format is Format.GITHUB:
+        echo_commands(text.removesuffix("\n"))
+    else:
+        echo_text(text, end="")
+    if format is Format.GITHUB:
+        _append_job_summary(entries)
+
+
+def _lines(entries: "list[Entry]", *, verbose: bool = False, quiet: bool) -> "list[Line]":
     from gsgen.contract.reporters.text import render_all
 
-    lines = render_all(entries, verbose=verbose, quiet=quiet)
-    if output:
-        write_text(output, "".join(line.text + "\n" for line in lines))
-    else:
-        show(lines)
+    return render_all(entries, verbose=verbose, quiet=quiet)
 
 
 def _format_entries(entries: "list[Entry]", format: Format) -> str:

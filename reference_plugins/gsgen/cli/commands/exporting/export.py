@@ -90,7 +90,8 @@ class _TargetCommands(TyperGroup):
 def _unknown_target_error(word: str, plugins: list[str], typed_words: list[str]) -> UnknownName:
     from gsgen.formats.codecs import codec_of_suffix
 
-    error = UnknownName.among("target", word, plugins, "TARGET")
+    listing = "`gsgen plugins` lists the methods."
+    error = UnknownName.among("target", word, plugins, "TARGET", listing=listing)
     path = Path(word)
     module, _, name = word.rpartition(".")
     option = next((flag for flag in ("-o", "--output") if flag in typed_words[:-1]), "")

@@ -27,7 +27,9 @@ def plugins(
     extensions = find_plugins()
     for name in names or ():
         if name not in extensions:
-            raise UnknownName.among("plugin", name, extensions, words=words_of_plugins())
+            listing = "`gsgen plugins` lists them."
+            words = words_of_plugins()
+            raise UnknownName.among("plugin", name, extensions, words=words, listing=listing)
     entries = [
         _plugin_facts(extension)
         for name, extension in extensions.items()
