@@ -4,7 +4,7 @@
 # usage: scripts/fetch.sh [drivers] [swiftshader] [cesium] [browser] [splat-transform] [peers]
 #   drivers          Mesa's lavapipe, a software Vulkan driver, 25 or newer
 #   swiftshader      a second software Vulkan driver, which some tests draw on, too
-#   cesium           CesiumJS and PlayCanvas, and the browser that runs them: tests load tilesets there
+#   cesium           CesiumJS, PlayCanvas, Babylon.js and Spark, and the browser that runs them
 #   browser          what checks the browser client, the types of the wheel, and workflows
 #   splat-transform  PlayCanvas' converter, with which the benchmark of SOG compares files
 #   peers            other engines that draw splats in pages, beside which a benchmark measures ours
@@ -20,17 +20,18 @@ fail() {
     exit 1
 }
 
-# Fetch an npm package of an exact version and digest, or a folder of it, into .venv/npm/NAME-VERSION.
-npm_package() { # NAME VERSION SHA256 [FOLDER]
-    local folder=.venv/npm/${1##*/}-$2
+# Fetch an npm package of an exact version and digest, or a folder or file of it, into .venv/npm/NAME-VERSION.
+npm_package() { # NAME VERSION SHA256 [PART]
+    local folder=.venv/npm/${1##*/}-$2 part=package${4:+/$4}
     if [ ! -d "$folder" ]; then
         command -v npm >/dev/null || fail "no npm, with which $1 is fetched"
         rm -rf "$WORK/npm" && mkdir "$WORK/npm"
         (cd "$WORK/npm" && npm pack --silent "$1@$2" >/dev/null) || fail "npm pack $1@$2 failed"
         echo "$3  $(echo "$WORK"/npm/*.tgz)" | sha256sum --check --quiet || fail "$1: the package is another one"
-        tar -xzf "$WORK"/npm/*.tgz -C "$WORK/npm" "package${4:+/$4}"
+        tar -xzf "$WORK"/npm/*.tgz -C "$WORK/npm" "$part"
         mkdir -p .venv/npm
-        mv "$WORK/npm/package${4:+/$4}" "$folder"
+        [ -d "$WORK/npm/$part" ] || part=${part%/*}
+        mv "$WORK/npm/$part" "$folder"
     fi
     echo "fetch: $folder"
 }
@@ -122,6 +123,8 @@ fetch_cesium() {
     fi
     npm_package cesium 1.145.0 7e348d18dcc14608bd8b110765f2c00dfd4602c7194647fa49cd4c4a757d4ae1 Build/Cesium
     npm_package playcanvas 2.23.3 02d004937bc7f96c2a2473c336f5c2420c79b2b459af15ff991d6cac14a8bc97 build/playcanvas
+    npm_package babylonjs 9.35.0 5a907e57575140c41937d5171115740b7f24c818b46acf72d0962eb9b463d0b9 babylon.js
+    npm_package @sparkjsdev/spark 2.2.0 c66fce63e112d9b099da87b70b36db45b822436bcf1f4b68c62f669627475231 dist
 }
 
 # The TypeScript compiler reads the types in the client's comments; three.js is at both ends of the

@@ -5,9 +5,8 @@ written to the folder of the engine in pytest's temporary files.
 """
 
 import io
-import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,41 +21,36 @@ from gsgen.runtime.checks.level import scene_of
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import psnr
 from gsgen.sdk.binding import FrameSession
-from support.commands import ROOT
-from support.web.packages import package, require_node
+from support.web.engines import ENGINES, engine_pages
 from support.web.pages import unpacked
 from support.web.without_webgpu import page_without_webgpu, python_picture
 from web.families import export_family
 
 pytestmark = pytest.mark.slow
 
-_EXAMPLES = ROOT / "docs/examples/engines"
 _FAMILIES = ("gauhuman", "gart", "sequence")  # plain colours, those of a camera, and a clip
 _SHARES = (0.0, 0.35, 0.7)
 
-# What each engine's page needs to take a picture: the settled one, or that of the next frame.
+# What each engine's page needs to take a picture: `picture` of the next frame, or of the settled one.
+_COMMON = """
+const rest = (toDraw) => new Promise((resolve) => (window.drawn = () => toDraw() && (window.drawn = () => {}, resolve(picture()))));
+window.drawn = () => {};
+window.frame = async (share, { settled = true } = {}) => {
+  await walkTo(share);
+  let count = 0;
+  return rest(() => !settled || (++count > 2 && isSettled()));
+};
+"""
 _PICTURES = {
     "playcanvas": """
-const shown = new Map();
-const picture = ({ settled }) => new Promise((resolve) => {
-  let [isReady, count] = [false, 0];
-  const ready = app.systems.gsplat.on("frame:ready", (_camera, _layer, ready, loading) => (isReady = ready && !loading));
-  const end = app.on("frameend", () => {
-    count += 1;
-    if (settled && !(isReady && count > 2)) return;
-    ready.off();
-    end.off();
-    const data = (matrix) => [...matrix.data];
-    const matrices = [camera.camera.viewMatrix, person.entity.getWorldTransform(), camera.camera.projectionMatrix];
-    resolve([app.graphicsDevice.canvas.toDataURL(), matrices.map(data)]);
-  });
-});
-window.hideRest = () => (box.enabled = false);
-window.frame = async (share, { settled = true } = {}) => {
-  const next = walkTo(share);
-  await next;
-  return picture({ settled });
+let isSettled = () => isReady, isReady = false;
+app.systems.gsplat.on("frame:ready", (_camera, _layer, ready, loading) => (isReady = ready && !loading));
+app.on("frameend", () => window.drawn());
+const picture = () => {
+  const matrices = [camera.camera.viewMatrix, person.entity.getWorldTransform(), camera.camera.projectionMatrix];
+  return [app.graphicsDevice.canvas.toDataURL(), matrices.map((matrix) => [...matrix.data])];
 };
+box.enabled = false;
 window.baked = async (ply) => {
   const asset = new pc.Asset(ply, "gsplat", { url: ply });
   app.assets.add(asset);
@@ -66,12 +60,62 @@ window.baked = async (ply) => {
   entity.addComponent("gsplat", { asset });
   person.entity.enabled = false;
   up.addChild(entity);
-  const result = await picture({ settled: true });
+  let count = 0;
+  const result = await rest(() => ++count > 2 && isSettled());
   entity.destroy();
   person.entity.enabled = true;
   return result;
 };
-"""
+""",
+    "babylon": """
+let shown = person.mesh;
+const isSettled = () => shown.isReady(true) && (shown === person.mesh || shown._isDepthSortSettled);
+scene.onAfterRenderObservable.add(() => window.drawn());
+const picture = () => {
+  const view = camera.getViewMatrix().multiply(BABYLON.Matrix.Scaling(1, 1, -1)); // looks along -z
+  const matrices = [view, person.mesh.getWorldMatrix(), camera.getProjectionMatrix()];
+  return [engine.getRenderingCanvas().toDataURL(), matrices.map((matrix) => [...matrix.m])];
+};
+box.setEnabled(false);
+window.baked = async (ply) => {
+  const file = await (await fetch(ply)).arrayBuffer();
+  const { buffer, sh, shDegree } = await BABYLON.GaussianSplattingMesh.ConvertPLYWithSHToSplatAsync(file);
+  shown = new BABYLON.GaussianSplattingMesh("baked", null, scene);
+  [shown.parent, shown.scaling.z] = [up, -1];
+  person.mesh.setEnabled(false);
+  await shown.updateDataAsync(buffer, sh ?? undefined, undefined, shDegree);
+  let count = 0;
+  const result = await rest(() => ++count > 5 && isSettled());
+  shown.dispose();
+  shown = person.mesh;
+  shown.setEnabled(true);
+  return result;
+};
+""",
+    "spark": """
+const isSettled = () => spark.activeSplats > 0 && !spark.sorting && !spark.sortDirty;
+renderer.setAnimationLoop(() => {
+  renderer.render(scene, camera);
+  window.drawn();
+});
+const picture = () => {
+  const matrices = [camera.matrixWorldInverse, person.object.matrixWorld, camera.projectionMatrix];
+  return [renderer.domElement.toDataURL(), matrices.map((matrix) => matrix.elements)];
+};
+box.visible = false;
+window.baked = async (ply) => {
+  const splats = new SPARK.SplatMesh({ url: ply });
+  await splats.initialized;
+  person.object.visible = false;
+  up.add(splats);
+  let count = 0;
+  const result = await rest(() => ++count > 2 && isSettled());
+  up.remove(splats);
+  splats.dispose();
+  person.object.visible = true;
+  return result;
+};
+""",
 }
 
 
@@ -82,11 +126,12 @@ class Shown:
     page: Any
     address: str
     pictures: Path
+    known: dict[tuple[Path, float], tuple[np.ndarray, Camera]] = field(default_factory=dict)
 
     def open(self, family: str, engine: str) -> None:
         self.page.goto(f"{self.address}/{engine}.html?provider=wasm&src=/{family}.onnx")
         self.page.wait_for_function("window.walkTo")
-        self.page.evaluate(f"() => {{ {_PICTURES[engine]} hideRest(); }}")
+        self.page.evaluate(f"() => {{ {_COMMON} {_PICTURES[engine]} }}")
 
     def picture(self, script: str, name: str) -> tuple[np.ndarray, Camera]:
         """Return a picture, and its camera in the model's axes."""
@@ -99,6 +144,16 @@ class Shown:
         lens = {"fx": projection[0, 0] * width / 2, "fy": projection[1, 1] * height / 2}
         place = {"cx": width / 2, "cy": height / 2, "width": width, "height": height, "near": 0.001}
         return image, Camera(view=np.diag([1, -1, -1, 1]) @ view @ world, **lens, **place)
+
+    def expected(self, model: Path, share: float, camera: Camera) -> np.ndarray:
+        """Return Python's picture; all pages have the same camera."""
+        key = (model, share)
+        if key not in self.known:
+            self.known[key] = (expected_picture(model, share, camera), camera)
+        image, same = self.known[key]
+        np.testing.assert_allclose(camera.view, same.view, atol=1e-4 * abs(camera.view).max())
+        assert camera.fx == pytest.approx(same.fx, rel=1e-5)
+        return image
 
 
 @pytest.fixture(scope="module")
@@ -116,14 +171,7 @@ def shown(
     models: dict[str, Path], ort_folder: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Shown]:
     folder = tmp_path_factory.mktemp("engines")
-    engine = package("playcanvas-2.23.3", needs_node=True) / "src/index.js"
-    esbuild = package("frameworks") / "node_modules/esbuild/bin/esbuild"
-    built = folder / "playcanvas.mjs"
-    command = [require_node(), str(esbuild), str(engine), "--bundle", "--format=esm"]
-    subprocess.run([*command, f"--outfile={built}"], check=True, capture_output=True)
-    contents = {"/none.html": b"<!doctype html>"}
-    contents["/playcanvas/build/playcanvas.mjs"] = built.read_bytes()
-    contents["/playcanvas.html"] = (_EXAMPLES / "playcanvas.html").read_bytes()
+    contents = engine_pages(folder)
     for name, path in models.items():
         contents[f"/{name}.onnx"] = path.read_bytes()
         for share in _SHARES:
@@ -154,7 +202,7 @@ def expected_picture(path: Path, share: float, camera: Camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("family", _FAMILIES)
-@pytest.mark.parametrize("engine", _PICTURES)
+@pytest.mark.parametrize("engine", ENGINES)
 def test_frames_are_as_good_as_the_baked_file_and_never_stale(
     engine: str, family: str, shown: Shown, models: dict[str, Path]
 ) -> None:
@@ -166,7 +214,7 @@ def test_frames_are_as_good_as_the_baked_file_and_never_stale(
         first, _ = shown.picture(f"frame({share}, {{ settled: false }})", f"{name}-first")
         image, camera = shown.picture(f"frame({share})", name)
         baked, _ = shown.picture(f"baked('/{family}-{share}.ply')", f"{name}-baked")
-        expected = expected_picture(models[family], share, camera)
+        expected = shown.expected(models[family], share, camera)
         assert (expected > 0.2).mean() > 0.005
         assert psnr(image, expected) >= psnr(baked, expected) - 1
         if pictures:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gsgen.contract.spec.srgb import srgb_of_linear
 from gsgen.formats.shared.harmonics import sh_basis
 from support.commands import ROOT
 from support.web.packages import require_node
@@ -22,9 +23,7 @@ import { readFileSync } from "node:fs";
 const { Ellipsoids } = await import(process.argv[2]);
 const { format, frames } = JSON.parse(readFileSync("frames.json", "utf-8"));
 const ellipsoids = new Ellipsoids(format);
-const target = Object.fromEntries(
-  ["centers", "scales", "rotations", "colors"].map((name) => [name, new Float32Array(4 * format.capacity)]),
-);
+const target = ellipsoids.target();
 const arrays = new Map();
 const float32 = (numbers) => {
   const key = JSON.stringify(numbers);
@@ -159,18 +158,133 @@ def test_rows_that_are_not_live_or_not_finite_are_not_drawn(tmp_path: Path) -> N
         assert all(np.isfinite(shown[name]).all() for name in ("centers", "scales", "rotations"))
 
 
-def test_an_older_playcanvas_is_refused() -> None:
-    module = (_ENGINES / "playcanvas.js").as_uri()
-    script = (
-        f'const {{ PlayCanvasGaussians }} = await import("{module}");'
-        'try { new PlayCanvasGaussians({ version: "2.7.0" }, null, null); }'
-        "catch (error) { console.log(error.name, error.message); }"
+def test_linear_colours_are_encoded(tmp_path: Path) -> None:
+    rows = rows_of(np.repeat(np.eye(3)[None], 6, axis=0), np.zeros((6, 3)))
+    light = np.linspace(-0.1, 1.5, 18).reshape(6, 3)
+    format = {"capacity": 6, "channels": 3, "space": "rgb", "colorSpace": "linear"}
+    frames = [{"rows": rows, "appearance": light, "live": 6}]
+    [shown] = written(tmp_path, format, frames)["results"]
+    expected = srgb_of_linear(np.maximum(light, 0))
+    np.testing.assert_allclose(shown["colors"][:, :3], expected, atol=1e-6)
+    zeros = np.log(np.ones((6, 3)))  # of harmonics, whose colour is grey
+    frames = [{"rows": rows, "appearance": zeros, "live": 6}]
+    [shown] = written(tmp_path, format | {"space": "sh"}, frames)["results"]
+    np.testing.assert_allclose(
+        shown["colors"][:, :3], srgb_of_linear(np.full((6, 3), 0.5)), atol=1e-6
     )
-    command = [require_node(), "--input-type=module", "-e", script]
+
+
+def answer_of(script: str) -> str:
+    """Return what a module prints that has the adapters in its scope."""
+    names = {"Babylon": "babylon", "PlayCanvas": "playcanvas", "Spark": "spark"}
+    imports = "".join(
+        f'import {{ {name}Gaussians }} from "{(_ENGINES / f"{module}.js").as_uri()}";\n'
+        for name, module in names.items()
+    )
+    command = [require_node(), "--input-type=module", "-e", imports + script]
     result = subprocess.run(command, capture_output=True, text=True, encoding="utf-8")
-    assert result.stdout == "GsgenError playcanvas is 2.7.0, expected 2.23 or later\n"
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_older_engines_are_refused() -> None:
+    answer = answer_of("""
+    for (const open of [
+      () => new PlayCanvasGaussians({ version: "2.7.0" }, null, null),
+      () => new BabylonGaussians({ Engine: { Version: "7.0.0" } }, null, null),
+      () => new BabylonGaussians({ Engine: { Version: "8.0.0" }, GaussianSplattingMesh: class { updateData() {} } }, null, null),
+      () => new SparkGaussians({ PackedSplats: null }, null),
+    ]) try { open(); } catch (error) { console.log(error.name, error.message); }
+    """)
+    assert answer.splitlines() == [
+        "GsgenError playcanvas is 2.7.0, expected 2.23 or later",
+        "GsgenError babylonjs is 7.0.0, expected 9.35 or later",
+        "GsgenError babylonjs is 8.0.0, expected 9.35 or later",
+        "GsgenError @sparkjsdev/spark is older, expected 2.2 or later",
+    ]
     peers = json.loads((CLIENT / "package.json").read_text("utf-8"))["peerDependencies"]
-    assert peers["playcanvas"].startswith(">=2.23.0 ")
+    ranges = {name: peers[name] for name in ("babylonjs", "playcanvas", "@sparkjsdev/spark")}
+    assert ranges == {
+        "babylonjs": ">=9.35.0 <10.0.0",
+        "playcanvas": ">=2.23.0 <3.0.0",
+        "@sparkjsdev/spark": ">=2.2.0 <3.0.0",
+    }
+
+
+@pytest.mark.parametrize("path", sorted(_ENGINES.glob("*.js")), ids=lambda path: path.stem)
+def test_adapters_call_nothing_private_of_an_engine(path: Path) -> None:
+    owners = re.findall(r"([\w\])]+)\??\._\w+", path.read_text("utf-8"))
+    assert set(owners) <= {"this"}
+
+
+def test_models_of_mip_splatting_have_other_settings() -> None:
+    answer = answer_of("""
+    const kinds = [PlayCanvasGaussians, BabylonGaussians, SparkGaussians];
+    const settings = ["classic", "mip"].map((antialias) => kinds.map((kind) => kind.settings({ antialias })));
+    console.log(JSON.stringify(settings));
+    """)
+    assert json.loads(answer) == [
+        [{"antiAlias": False}, {"compensation": False}, {"preBlurAmount": 0.3, "blurAmount": 0}],
+        [{"antiAlias": True}, {"compensation": True}, {"preBlurAmount": 0, "blurAmount": 0.3}],
+    ]
+
+
+@pytest.mark.parametrize("is_right_handed", [False, True])
+def test_rows_for_babylon_are_sorted_and_keep_their_gaussians(is_right_handed: bool) -> None:
+    rng = np.random.default_rng(11)
+    count = 200
+    centers = rng.normal(size=(count, 3)).astype(np.float32)
+    rows = rows_of(random_matrices(rng, count), centers)
+    colors = rng.uniform(size=(count, 3)).astype(np.float32)
+    ahead = np.array([0.3, -0.5, 0.8, 2.0])  # of the matrix to the view, its depth
+    words = {"rows": rows.ravel().tolist(), "colors": colors.ravel().tolist()}
+    words |= {"ahead": ahead.tolist(), "isRight": is_right_handed}
+    answer = answer_of(
+        f"const words = {json.dumps(words)};"
+        + """
+    const toView = new Float32Array(16);
+    words.ahead.forEach((number, index) => (toView[2 + 4 * index] = number));
+    const world = { multiply: () => ({ m: toView }), clone: () => world, invert: () => world };
+    let shown;
+    class GaussianSplattingMesh {
+      constructor(name, url, scene) { Object.assign(this, { scene, scaling: { z: 1 }, material: {} }); }
+      getScene() { return this.scene; }
+      computeWorldMatrix() { return world; }
+      set disableDepthSort(isOff) { this.isOff = isOff; }
+      updateData(data) { shown = new Uint8Array(data.slice(0)); }
+    }
+    const Vector3 = { TransformCoordinates: () => ({ asArray: () => [0, 0, 0] }) };
+    const babylon = { Engine: { Version: "9.35.0" }, Vector3, GaussianSplattingMesh };
+    const capacity = words.rows.length / 10;
+    const format = { capacity, channels: 3, space: "rgb", antialias: "classic",
+      transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] };
+    const person = new BabylonGaussians(babylon, { useRightHandedSystem: words.isRight }, format);
+    const frame = { rows: new Float32Array(words.rows), appearance: new Float32Array(words.colors), live: capacity };
+    person.fill(frame, { getViewMatrix: () => null });
+    console.log(JSON.stringify([[...shown], person.mesh.isOff, person.mesh.scaling.z]));
+    """
+    )
+    data, is_off, mirror = json.loads(answer)
+    assert is_off
+    assert mirror == (1 if is_right_handed else -1)
+    table = np.array(data, np.uint8).reshape(count, 32)
+    floats = table[:, :24].copy().view(np.float32)
+    depths = floats[:, :3] @ ahead[:3] * (-1 if is_right_handed else 1)
+    assert (np.diff(depths) <= 1e-4).all()  # farthest first
+    # Rows are those of the model, in this order.
+    order = np.abs(floats[:, None, :3] - centers[None]).sum(axis=-1).argmin(axis=1)
+    assert sorted(order) == list(range(count))
+    np.testing.assert_allclose(table[:, 24:27] / 255, colors[order], atol=0.51 / 255)
+    np.testing.assert_allclose(table[:, 27] / 255, 0.6, atol=0.51 / 255)
+    quaternion = table[:, 28:].astype(np.float64) / 127.5 - 1
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    axes = turn * floats[:, None, 3:6]
+    matrices = np.zeros((count, 3, 3))
+    matrices[:, *np.triu_indices(3)] = rows[order, 4:]
+    matrices = np.triu(matrices) + np.triu(matrices, 1).transpose(0, 2, 1)
+    error = np.abs(axes @ axes.transpose(0, 2, 1) - matrices).max(axis=(1, 2))
+    assert (error <= 0.02 * np.abs(matrices).max(axis=(1, 2)) + 1e-15).all()
 
 
 @pytest.mark.parametrize("path", sorted(_ENGINES.glob("*.js")), ids=lambda path: path.stem)

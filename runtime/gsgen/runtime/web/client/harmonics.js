@@ -5,8 +5,12 @@ const [E, F, G, H] = [1.0925484305920792, 0.31539156525252005, 0.546274215296039
 const basis = new Float64Array(16);
 basis[0] = 0.28209479177387814;
 
-/** Return the harmonics of degree 0 to 3 of a unit direction; the array is used again. @param {number[]} direction */
-export function harmonics([x, y, z]) {
+/**
+ * Write the colour that coefficients from an index on give a unit direction: 0.5 and the sum of the harmonics.
+ * @param {number[]} direction
+ * @param {number} degree From 0 to 3.
+ */
+export function writeColor([x, y, z], degree, coefficients, from, colors, to) {
   const [xx, yy, zz] = [x * x, y * y, z * z];
   [basis[1], basis[2], basis[3]] = [-H * y, H * z, -H * x];
   [basis[4], basis[5], basis[6]] = [E * x * y, -E * y * z, F * (2 * zz - xx - yy)];
@@ -14,5 +18,9 @@ export function harmonics([x, y, z]) {
   [basis[9], basis[10], basis[11]] = [-A * y * (3 * xx - yy), B * x * y * z, -C * y * (4 * zz - xx - yy)];
   [basis[12], basis[13]] = [D * z * (2 * zz - 3 * xx - 3 * yy), -C * x * (4 * zz - xx - yy)];
   [basis[14], basis[15]] = [(B / 2) * z * (xx - yy), -A * x * (xx - 3 * yy)];
-  return basis;
+  for (let part = 0; part < 3; part++) {
+    let sum = 0.5;
+    for (let index = 0; index < (degree + 1) ** 2; index++) sum += basis[index] * coefficients[from + 3 * index + part];
+    colors[to + part] = sum;
+  }
 }

@@ -45,6 +45,26 @@ export function solve(a, b) {
   return sum.map((part) => part / dot(p, cross(q, r)));
 }
 
+/**
+ * Write a Gaussian in the axes to which an affine 4×4 matrix leads: the centre and the covariance, A Σ Aᵀ.
+ * @param {readonly number[]} m
+ * @param {Float32Array} rows Ten numbers each: x y z opacity xx xy xz yy yz zz; those at `from` are read.
+ * @param {Float32Array | Float64Array} placed Those at `to` are written.
+ */
+export function placeRow(m, rows, from, placed, to) {
+  const x = rows[from], y = rows[from + 1], z = rows[from + 2], xx = rows[from + 4], xy = rows[from + 5];
+  const xz = rows[from + 6], yy = rows[from + 7], yz = rows[from + 8], zz = rows[from + 9];
+  placed[to + 3] = rows[from + 3];
+  for (let axis = 0, place = to + 4; axis < 3; axis++) {
+    const a = m[4 * axis], b = m[4 * axis + 1], c = m[4 * axis + 2];
+    placed[to + axis] = a * x + b * y + c * z + m[4 * axis + 3];
+    const p = a * xx + b * xy + c * xz, q = a * xy + b * yy + c * yz, r = a * xz + b * yz + c * zz;
+    for (let other = axis; other < 3; other++, place++) {
+      placed[place] = p * m[4 * other] + q * m[4 * other + 1] + r * m[4 * other + 2];
+    }
+  }
+}
+
 /** Return the inverse of an affine 4×4 matrix. @param {readonly number[]} m */
 export function inverted(m) {
   const linear = linearPart(m);
@@ -108,7 +128,7 @@ export function cross(a, b) {
 }
 
 export function normalized(a) {
-  const length = Math.hypot(a[0], a[1], a[2]);
+  const length = Math.sqrt(dot(a, a));
   return [a[0] / length, a[1] / length, a[2] / length];
 }
 

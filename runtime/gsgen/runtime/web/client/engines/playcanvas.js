@@ -1,7 +1,6 @@
 /** Gaussians for PlayCanvas 2.23: fills its `GSplatContainer` with frames of a model. */
 
-import { GsgenError } from "../errors.js";
-import { Ellipsoids } from "./ellipsoids.js";
+import { Ellipsoids, requireCalls } from "./ellipsoids.js";
 
 const STREAMS = { centers: "gsgenCenter", scales: "gsgenScale", rotations: "gsgenRotation", colors: "gsgenColor" };
 const READ_GLSL = `
@@ -20,15 +19,22 @@ fn getRotation() -> vec4f { return loadGsgenRotation().wxyz; }
 /** An entity of PlayCanvas that shows frames of a model. */
 export class PlayCanvasGaussians {
   /**
+   * Return the settings of an application's `scene.gsplat` that draw a model's Gaussians as it was
+   * trained; they are those of all splats in its scene.
+   * @param {Pick<import("../frames.js").Frames, "antialias">} frames
+   */
+  static settings({ antialias }) {
+    return { antiAlias: antialias === "mip" };
+  }
+
+  /**
    * @param {any} pc The module `playcanvas`.
    * @param {any} device The application's `graphicsDevice`; it has a `gsplat` component system.
    * @param {import("./ellipsoids.js").Format} frames The model.
-   * @throws {GsgenError} The module is older than its `GSplatContainer`.
+   * @throws {import("../errors.js").GsgenError} The module is older than its `GSplatContainer`.
    */
   constructor(pc, device, frames) {
-    if (!pc.GSplatContainer || pc.WORKBUFFER_UPDATE_ALWAYS === undefined) {
-      throw new GsgenError(`playcanvas is ${pc.version}, expected 2.23 or later`, { hint: "Install playcanvas@2.23." });
-    }
+    requireCalls("playcanvas", pc.version, "2.23", "WORKBUFFER_UPDATE_ALWAYS" in pc && "GSplatContainer" in pc);
     this._ellipsoids = new Ellipsoids(frames);
     /** Whether frames are filled again when the camera moves. */
     this.needsCamera = this._ellipsoids.needsCamera;
