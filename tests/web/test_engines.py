@@ -35,10 +35,10 @@ _SHARES = (0.0, 0.35, 0.7)
 _COMMON = """
 const rest = (toDraw) => new Promise((resolve) => (window.drawn = () => toDraw() && (window.drawn = () => {}, resolve(picture()))));
 window.drawn = () => {};
-window.frame = async (share, { settled = true } = {}) => {
+const settled = (count = 0) => rest(() => ++count > 2 && isSettled());
+window.frame = async (share, { settled: isLast = true } = {}) => {
   await walkTo(share);
-  let count = 0;
-  return rest(() => !settled || (++count > 2 && isSettled()));
+  return isLast ? settled() : rest(() => true);
 };
 """
 _PICTURES = {
@@ -60,8 +60,7 @@ window.baked = async (ply) => {
   entity.addComponent("gsplat", { asset });
   person.entity.enabled = false;
   up.addChild(entity);
-  let count = 0;
-  const result = await rest(() => ++count > 2 && isSettled());
+  const result = await settled();
   entity.destroy();
   person.entity.enabled = true;
   return result;
@@ -84,8 +83,7 @@ window.baked = async (ply) => {
   [shown.parent, shown.scaling.z] = [up, -1];
   person.mesh.setEnabled(false);
   await shown.updateDataAsync(buffer, sh ?? undefined, undefined, shDegree);
-  let count = 0;
-  const result = await rest(() => ++count > 5 && isSettled());
+  const result = await settled();
   shown.dispose();
   shown = person.mesh;
   shown.setEnabled(true);
@@ -108,11 +106,11 @@ window.baked = async (ply) => {
   await splats.initialized;
   person.object.visible = false;
   up.add(splats);
-  let count = 0;
-  const result = await rest(() => ++count > 2 && isSettled());
+  const result = await settled();
   up.remove(splats);
   splats.dispose();
   person.object.visible = true;
+  await settled(); // the engine shows what was there until other objects are sorted
   return result;
 };
 """,
