@@ -128,8 +128,92 @@ def test_tiles_of_a_known_path_come_before_they_are_seen_and_fade_in(
     assert len(during) > len(after)  # what is replaced is drawn, too
     assert any(0 < opacity < 1 for opacity in during)
     assert set(after) == {1}
-    assert [state["slots"] for state in result["shared"]] == [10, 10, 10]
+    assert [state["slots"] for state in result["shared"]] == [10, 10, 1]
     assert result["again"]["slots"] == alone["slots"] == 20
+
+
+_ELEMENTS = """async ([address, slots]) => {
+  const until = async (condition) => {
+    for (let i = 0; i < 600 && !condition(); i++) await new Promise((resolve) => setTimeout(resolve, 20));
+  };
+  const element = (tag, attributes) => {
+    const made = document.createElement(tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    document.body.append(made);
+    return made;
+  };
+  const model = { "max-splats": 4096 * slots, "max-error": 8, "camera-orbit": "0deg 10deg 9", background: "#fff" };
+  const first = element("gsgen-model", { ...model, src: address });
+  const second = element("gsgen-model", { ...model, src: address });
+  const models = [{ path: address }, { path: address, visible: false }];
+  const scene = element("gsgen-model", { ...model, src: JSON.stringify({ models, up: "+z" }), hidden: "", loading: "eager" });
+  await Promise.all([first, second, scene].map(({ ready }) => ready));
+  const own = [first, second].map(({ _shown }) => _shown.model);
+  const all = [...own, ...scene._shown.model.entries.map(({ model }) => model)];
+  const shares = () => all.map(({ sets }) => sets.length);
+  const settled = (expected) => until(() => shares().join() === expected.join() && !own.some(({ loading }) => loading));
+  const results = {};
+  const step = async (name, change, expected) => {
+    change();
+    await settled(expected);
+    results[name] = shares();
+  };
+  const [whole, half, third] = [slots, slots / 2, slots / 3];
+  await step("both in view", () => {}, [half, half, 1, 1]);
+  const seen = await (await second.toBlob()).bytes();
+  await step("hidden", () => (second.hidden = true), [whole, 1, 1, 1]);
+  const requests = performance.getEntriesByType("resource").length;
+  second.cameraOrbit = "90deg 0deg 1"; // asks for no tiles out of view
+  await new Promise((resolve) => setTimeout(resolve, 300));
+  results.asked = performance.getEntriesByType("resource").length - requests;
+  second.cameraOrbit = model["camera-orbit"];
+  await step("back", () => (second.hidden = false), [half, half, 1, 1]);
+  const again = await (await second.toBlob()).bytes();
+  results.isSame = seen.length === again.length && seen.every((byte, i) => byte === again[i]);
+  await step("not displayed", () => (second.style.display = "none"), [whole, 1, 1, 1]);
+  await step("scrolled away", () => (second.style = "position: absolute; top: 9000px"), [whole, 1, 1, 1]);
+  await second.toBlob({ width: 8, height: 8 });
+  await step("with a picture", () => {}, [whole, 1, 1, 1]);
+  await step("scrolled to", () => scrollTo(0, 9000), [1, whole, 1, 1]);
+  await step("scrolled back", () => scrollTo(0, 0), [whole, 1, 1, 1]);
+  await step("a scene", () => (scene.hidden = false), [half, 1, half, 1]);
+  await step("a model of it", () => {
+    scene._shown.model.entries[1].isVisible = true;
+    scene.requestFrame();
+  }, [third, 1, third, third]);
+  await step("removed", () => [second, scene].forEach((other) => other.remove()), [whole, 1, 1, 1]);
+  first.remove();
+  return results;
+}"""
+
+
+def test_elements_out_of_view_give_their_slots_to_the_others(folder: Path, site: WebSite) -> None:
+    """They keep one, request nothing, and show the same picture when they are back."""
+    slots = 24
+    site.contents["/shares.html"] = b"""<!doctype html><meta charset=utf-8>
+      <style>gsgen-model { width: 64px; height: 48px; aspect-ratio: auto }</style>
+      <script type=module src=/client/gsgen.js></script>"""
+    site.open("/shares.html")
+    site.page.wait_for_function("Boolean(customElements.get('gsgen-model'))")
+    with served(folder, cors="*") as address:
+        result = site.page.evaluate(_ELEMENTS, [f"{address}/tileset.json", slots])
+    assert site.errors == []
+    site.open()
+    assert (result.pop("asked"), result.pop("isSame")) == (0, True)
+    alone = [slots, 1, 1, 1]
+    assert result == {
+        "both in view": [slots // 2, slots // 2, 1, 1],
+        "hidden": alone,
+        "back": [slots // 2, slots // 2, 1, 1],
+        "not displayed": alone,
+        "scrolled away": alone,
+        "with a picture": alone,
+        "scrolled to": [1, slots, 1, 1],
+        "scrolled back": alone,
+        "a scene": [slots // 2, 1, slots // 2, 1],
+        "a model of it": [slots // 3, 1, slots // 3, slots // 3],
+        "removed": alone,
+    }
 
 
 def test_tiles_are_kept_where_a_server_does_not_say_for_how_long(

@@ -65,7 +65,7 @@ export class GsgenModel extends ModelControls {
     this.addEventListener("dragover", (event) => this.fileDrop && event.preventDefault());
     this.addEventListener("drop", (event) => this._drop(event));
     this._resizes = new ResizeObserver(() => this._requestFrame());
-    this._visibility = new IntersectionObserver(([entry]) => this._see(entry.isIntersecting));
+    this._visibility = new IntersectionObserver((entries) => this._see(entries[entries.length - 1].isIntersecting));
     this._annotations = new Annotations(this, this._view.annotations, {
       onChange: () => this._childrenChanged(),
       complain: (where, problem) => this._complain(where, problem),
@@ -168,6 +168,7 @@ export class GsgenModel extends ModelControls {
 
   _see(isVisible) {
     this._isVisible = isVisible;
+    this._shown?.see(isVisible);
     if (isVisible) this._loadIfPending();
     this._requestFrame();
   }
@@ -330,6 +331,7 @@ export class GsgenModel extends ModelControls {
     this._succeed();
     if (this._isMissed || this.autoRotate || shown.playback?.paused === false) this._requestFrame();
     this._usePosts();
+    shown.see(this._isVisible);
   }
 
   /** The post-process models that the picture goes through: those of a scene, and of `posts`. */

@@ -26,19 +26,14 @@ export class Governor {
     const larger = time * (SCALES[this._level - 1] / this.scale) ** 2;
     if (this._before && time > HELPS * this._before) {
       this._isFutile = true;
-      this._move(-1, null);
-    } else if (time > SLOW && this._level < SCALES.length - 1 && !this._isFutile) this._move(1, time);
-    else if (larger < FAST) this._move(-1, null);
-    else this._restart(null);
+      this._restart(null, -1);
+    } else if (time > SLOW && this._level < SCALES.length - 1 && !this._isFutile) this._restart(time, 1);
+    else this._restart(null, larger < FAST ? -1 : 0);
   }
 
-  _move(step, before) {
+  /** Measure another size. @param {number | null} before The time of the larger size before this one. */
+  _restart(before, step = 0) {
     this._level += step;
-    this._restart(before);
-  }
-
-  /** Measure anew. @param {number | null} before The time of the larger size before this one. */
-  _restart(before) {
     this._before = before;
     /** @type {number[]} */
     this._times = [];

@@ -5,7 +5,7 @@
  * drawing. Buffers only grow: a smaller image has parts of them.
  */
 
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
 import { remembered } from "./once.js";
 import { choosePlan, evaluate } from "./plan.js";
 
@@ -237,10 +237,7 @@ export class PlanHost {
     const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
     const most = Math.min(maxStorageBufferBindingSize, maxBufferSize);
     if (size > most) {
-      throw new GsgenError(`would take ${size} bytes; this device binds at most ${most}`, {
-        where: label,
-        hint: "Show fewer Gaussians or a smaller image.",
-      });
+      failing(label, "Show fewer Gaussians or a smaller image.")(`would take ${size} bytes; this device binds at most ${most}`);
     }
     const roomy = Math.min(16 * Math.ceil((ROOM * last) / 16), most);
     return this.device.createBuffer({ label, size: Math.max(size, roomy), usage });

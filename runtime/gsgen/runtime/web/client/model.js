@@ -21,6 +21,7 @@ import { SplatBuffers } from "./splat_buffers.js";
  * @property {readonly number[]} [frame] From the axes that a scene file places to those of the sets.
  * @property {(values: Record<string, any>, camera: any, path?: ((seconds: number) => any) | null) => Promise<boolean>} update
  *     Computes a frame; true if the pages are others than before. The path is the camera in some seconds.
+ * @property {() => void} [hide] Gives back what only frames need, until the next one.
  * @property {() => void} destroy
  * @property {number} [missingPictures] How many pictures the model needs before it can be shown.
  * @property {any} [manifest] Of generators, with the findings of rules.
@@ -189,10 +190,7 @@ class Reading {
       model = Object.create(this._still, { destroy: { value: leave } });
       onBegin?.(model);
     };
-    const abort = () => {
-      leave();
-      left.reject(signal?.reason);
-    };
+    const abort = () => left.reject(signal?.reason);
     const user = { options, begin };
     this._users.add(user);
     signal?.addEventListener("abort", abort);

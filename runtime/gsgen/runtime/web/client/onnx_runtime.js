@@ -5,7 +5,7 @@
  */
 
 import { inlined } from "./download.js";
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
 import { inTurns, once } from "./once.js";
 
 const HAS_JSPI = "Suspending" in WebAssembly;
@@ -47,9 +47,7 @@ function requireWebAssembly() {
   try {
     new WebAssembly.Module(EMPTY_MODULE);
   } catch (error) {
-    throw new GsgenError(`this page may not run WebAssembly: ${error.message}`, {
-      hint: "Add 'wasm-unsafe-eval' to script-src of its Content-Security-Policy.",
-    });
+    failing("", "Add 'wasm-unsafe-eval' to script-src of its Content-Security-Policy.")(`this page may not run WebAssembly: ${error.message}`);
   }
 }
 
@@ -60,10 +58,8 @@ async function load() {
   try {
     return configured(await import(/* @vite-ignore */ /* webpackIgnore: true */ String(address)), wasm);
   } catch (error) {
-    throw new GsgenError(`ONNX Runtime Web cannot be loaded: ${error.message}`, {
-      where: String(address),
-      hint: "Copy it beside gsgen.js, into a folder ort: gsgen view --web writes one.",
-    });
+    const hint = "Copy it beside gsgen.js, into a folder ort: gsgen view --web writes one.";
+    return failing(String(address), hint)(`ONNX Runtime Web cannot be loaded: ${error.message}`);
   }
 }
 
@@ -105,9 +101,7 @@ export async function createSession(ort, bytes, name, options, isExpected = () =
     return await runInTurn(() => ort.InferenceSession.create(bytes, options));
   } catch (refusal) {
     if (isExpected(refusal.message)) return null;
-    throw new GsgenError(`ONNX Runtime Web refuses the model: ${refusal.message}`, {
-      where: name,
-      hint: "See what is wrong: gsgen validate MODEL --target webgpu",
-    });
+    const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
+    return failing(name, hint)(`ONNX Runtime Web refuses the model: ${refusal.message}`);
   }
 }

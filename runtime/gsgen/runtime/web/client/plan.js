@@ -6,7 +6,7 @@
  */
 
 import { download, parsedJson } from "./download.js";
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
 
 /** @typedef {number | string | [string, ...any[]]} Formula */
 /** @typedef {Record<string, number>} Sizes Name of a size → its value. */
@@ -55,19 +55,13 @@ export function evaluate(formula, sizes) {
  */
 export function choosePlan(plans, shape, sizes) {
   const outputs = shape.outputs.join();
-  const found = plans.plans.find(
+  const plan = plans.plans.find(
     (plan) =>
       plan.outputs.join() === outputs &&
       ["panorama", "deep", "weighted", "layers"].every((name) => plan[name] === shape[name]) &&
       plan.guards.every((guard) => evaluate(guard, sizes)),
   );
-  if (!found) {
-    throw new GsgenError(`no frame plan draws ${outputs} at ${sizes.width}×${sizes.height}`, {
-      where: "image",
-      hint: "Show a smaller element.",
-    });
-  }
-  return found;
+  return plan ?? failing("image", "Show a smaller element.")(`no frame plan draws ${outputs} at ${sizes.width}×${sizes.height}`);
 }
 
 /** Load the plans that lie beside this module. @returns {Promise<PlanDocument>} */

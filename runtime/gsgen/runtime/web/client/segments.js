@@ -47,20 +47,25 @@ export class SegmentedModel {
   }
 
   /** Show a moment; return whether the pages are others than before. */
-  async update({ time = 0 }, camera) {
+  async update({ time = 0 }, camera, path = null) {
     const { length } = this._segments;
     let [index, start] = [0, 0];
     while (index < length - 1 && time >= start + this._segments[index].seconds) start += this._segments[index++].seconds;
     const next = (index + 1) % length;
     const [model, before] = [await this._open(index), this._shown];
     const share = Math.min((time - start) / this._segments[index].seconds, 1);
-    const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera);
+    const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera, path);
     const { count } = model.buffers;
     if (count > this._capacity) throw new GsgenError(`has ${count} Gaussians, expected at most ${this._capacity}`, { where: this._segments[index].path, hint: "Raise the capacity." });
     this._shown = model;
     if (next !== this._lost) this._open(next).then(() => (this._lost = -1), () => (this._lost = next));
     this._leave((other) => other !== index && other !== next);
+    for (const opening of this._opened.values()) opening.then((other) => other === this._shown || other.hide?.(), () => {});
     return isChanged || model !== before;
+  }
+
+  hide() {
+    this._shown.hide?.();
   }
 
   _leave(isLeft) {

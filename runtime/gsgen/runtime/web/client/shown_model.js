@@ -42,10 +42,18 @@ export class PlacedModel {
     this.camera = null;
     this.isStale = true; // the Gaussians are those of other inputs
     this.isDestroyed = false;
+    this._isInView = true;
+    this._inTurn = inTurns(); // frames, and pictures between them
   }
 
   get inputs() {
     return this.model.inputs;
+  }
+
+  /** Say whether frames come; if not, the model gives back what only they need. */
+  see(isInView = this._isInView) {
+    this._isInView = isInView;
+    this._inTurn(async () => this._isInView || this.isDestroyed || this.model.hide?.());
   }
 
   /** Take the camera of the present time, where a timeline has cameras. */
@@ -112,7 +120,6 @@ export class ShownModel extends PlacedModel {
     /** @type {import("./post_process.js").Picture | null} What comes of the last frame. */
     this._processed = null;
     this._stop = new AbortController();
-    this._inTurn = inTurns(); // frames, and pictures between them
   }
 
   /** The inputs of the model, and of post-process models. */
@@ -288,6 +295,7 @@ export class ShownModel extends PlacedModel {
       });
     } finally {
       presenter.destroy();
+      this.see();
     }
   }
 

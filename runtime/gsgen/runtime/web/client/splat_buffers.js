@@ -1,6 +1,6 @@
 /** Gaussians in GPU memory: pages of rows and appearance, as frame plans bind them. */
 
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
 import { storageBuffer } from "./gpu_buffers.js";
 
 const ROW_BYTES = 40; // x y z opacity xx xy xz yy yz zz
@@ -13,14 +13,8 @@ export function degreeOf(channels, space) {
 /** Return how the appearance of `channels` numbers of a dtype is stored. */
 export function appearanceKind(plans, channels, dtype) {
   const isWideEnough = (entry) => entry.dtype === dtype && entry.channels >= channels;
-  const found = plans.appearances.find(isWideEnough);
-  if (!found) {
-    throw new GsgenError(`has ${channels} channels; at most 48 can be drawn`, {
-      where: "appearance",
-      hint: "Drop harmonics above degree 3.",
-    });
-  }
-  return found;
+  const fail = failing("appearance", "Drop harmonics above degree 3.");
+  return plans.appearances.find(isWideEnough) ?? fail(`has ${channels} channels; at most 48 can be drawn`);
 }
 
 /** Cut rows in GPU buffers into pages. @returns {import("./host.js").Page[]} */

@@ -87,20 +87,17 @@ export class Stage {
       const model = part.segments.length ? SegmentedModel.open(part, openFile) : openFile(part);
       return { ...part, model: await model };
     });
-    const results = await Promise.allSettled(opening);
-    const entries = results.flatMap((result) => (result.status === "fulfilled" ? [result.value] : []));
     /** @type {import("./stage_meshes.js").StageMeshes | null} */
     let drawn = null;
     try {
-      const failed = results.find(({ status }) => status === "rejected");
-      if (failed) throw /** @type {PromiseRejectedResult} */ (failed).reason;
+      const entries = await Promise.all(opening);
       const meshes = await openingMeshes;
       const isLinear = entries.some(({ model }) => model.buffers.isLinear);
       if (meshes.length) drawn = await (await import("./stage_meshes.js")).StageMeshes.open(kernels, meshes, isLinear);
       return new Stage(kernels, entries, drawn, { ...scene, posts }, document);
     } catch (error) {
       drawn?.destroy();
-      for (const { model } of entries) model.destroy();
+      for (const entry of opening) entry.then(({ model }) => model.destroy(), () => {});
       throw error;
     }
   }
@@ -183,6 +180,7 @@ export class Stage {
     const { [CLOCK]: seconds = 0, ...values } = given;
     let isChanged = false;
     this._meshes?.moveTo(seconds);
+    for (const { model, isVisible } of this.entries) if (!isVisible) model.hide?.();
     for (const entry of this.entries.filter(({ isVisible }) => isVisible)) {
       const { model, inputs } = entry;
       const [keyed, fixed] = inputsAt(inputs, seconds, model);
@@ -192,6 +190,12 @@ export class Stage {
       isChanged = (await model.update(all, local(camera), own)) || isChanged;
     }
     return this._place() || isChanged;
+  }
+
+  /** Give back what only frames need, until the next one. */
+  hide() {
+    for (const { model } of this.entries) model.hide?.();
+    this._place();
   }
 
   /** Return the time of a model: it goes through its range once. */

@@ -53,7 +53,7 @@ export class CameraPredictor {
 
 /** Decides what is requested, and what is cancelled. */
 export class RequestPlanner {
-  /** @param {(tile: any, flight: any) => void} request Begins to fetch a tile. */
+  /** @param {(tile: any, flight: any) => any} request Fetches a tile. */
   constructor(rules, request) {
     this._rules = rules;
     this._request = request;
@@ -80,13 +80,18 @@ export class RequestPlanner {
       if (flight.purpose === "prefetched" && seen.has(tile)) flight.purpose = "needed";
     }
     if (!this.missing(isLoaded).length) return;
-    for (const [tile, { purpose, loaded, stop }] of this.pending) {
+    for (const [tile, { purpose, loaded }] of this.pending) {
       const { bytes } = purpose === "finer" ? tile.files[0] : tile;
-      if (purpose === "needed" || loaded >= this._rules.cancelFraction * bytes) continue;
-      this.pending.delete(tile);
-      stop.abort();
-      [this.received, this.wasted] = [this.received + loaded, this.wasted + loaded];
+      if (purpose !== "needed" && loaded < this._rules.cancelFraction * bytes) this.cancel(tile);
     }
+  }
+
+  /** End a request; what has come of it is wasted. */
+  cancel(tile) {
+    const { loaded, stop } = this.pending.get(tile);
+    this.pending.delete(tile);
+    stop.abort();
+    [this.received, this.wasted] = [this.received + loaded, this.wasted + loaded];
   }
 
   /**
@@ -99,9 +104,9 @@ export class RequestPlanner {
     while (open() < this._rules.requests) {
       const [tile, purpose] = this._next(isLoaded, finer, candidates, isKnown);
       if (!tile) return;
-      const flight = { purpose, loaded: 0, isRead: false, stop: new AbortController() };
+      const flight = { purpose, loaded: 0, isRead: false, stop: new AbortController(), end: null };
       this.pending.set(tile, flight);
-      this._request(tile, flight);
+      flight.end = this._request(tile, flight);
     }
   }
 

@@ -27,8 +27,9 @@ const GLOBE = [6.25e6, 6.48e6]; // metres from the centre of the globe: up is aw
 const TILE_FROM_FILE = [-1, 0, 0, 0, 0, 0, -1, 0, 0, -1, 0, 0, 0, 0, 0, 1];
 
 let count = 0; // of the tiles of this page
-/** The tilesets of this page, which share one budget. @type {Set<TilesetModel>} */
-const neighbours = new Set();
+/** The tilesets of this page that are in view, which share one budget. @type {Set<TilesetModel>} */
+const inView = new Set();
+const now = () => performance.now() / 1000; // seconds
 
 /** A tile, in the frame of the tileset. */
 class Tile {
@@ -100,6 +101,8 @@ function replaces(tile, tiles) {
   return isAbove(tiles, tile.parent) || [...tiles.keys()].some((other) => isAbove(new Set([tile]), other.parent));
 }
 
+/** Return whether a tile is there, or cannot be had now. */
+const isSettled = (tile) => tile.slots || !tile.uris.length || tile.retryAt > now();
 const slotsOf = (tiles) => tiles.reduce((sum, { needed }) => sum + needed, 0);
 
 /** Return the JSON of a tileset. */
@@ -164,19 +167,11 @@ export class TilesetModel {
     this._newSlot = () => ({ buffers: new SplatBuffers(device, plans, facts), transform: IDENTITY, live: 0 });
     this._rules = plans.streaming;
     this._predictor = new CameraPredictor(plans.streaming);
-    this._planner = new RequestPlanner(plans.streaming, (tile, flight) => {
-      flight.end = this._load(tile, flight).finally(() => {
-        if (this._stop.signal.aborted) return;
-        this._fill();
-        this._options.onChange();
-      });
-      this._spare = this._room();
-    });
+    this._planner = new RequestPlanner(plans.streaming, (tile, flight) => this._load(tile, flight));
     /** The camera of the last frame, and where it will be. @type {any} */
     this._camera = null;
     /** @type {((seconds: number) => any) | null} */
     this._path = null;
-    this._spare = 0; // slots that requests may take
     this._planned = -Infinity; // when tiles to come were last predicted
     this._future = /** @type {Tile[]} */ ([]); // all of them, the earliest first
     this._ahead = /** @type {Tile[]} */ ([]); // those that slots suffice for
@@ -205,9 +200,8 @@ export class TilesetModel {
     this._held = new Set();
     this._frame = 0;
     this._stop = new AbortController();
-    neighbours.forEach((model) => model._options.onChange()); // who have fewer slots now
-    neighbours.add(this);
-    this._resize();
+    this._resize(true);
+    this._placed = this.sets; // those that the renderer has
   }
 
   /**
@@ -215,9 +209,10 @@ export class TilesetModel {
    * @param {((seconds: number) => any) | null} [path] The camera in some seconds, if it is known.
    */
   async update(_, camera, path = null) {
+    if (this._stop.signal.aborted) return false;
     this._frame += 1;
-    const time = performance.now() / 1000;
-    const isChanged = this._resize();
+    const time = now();
+    this._resize(true);
     const cut = this._cut(camera);
     for (const tile of cut.seen.keys()) tile.seen = this._frame;
     const drawn = this._drawn(this._root, cut);
@@ -230,25 +225,27 @@ export class TilesetModel {
     }
     [this._camera, this._path] = [camera, path];
     this._predictor.observe(time, camera);
-    this._planner.frame(time, cut.seen, (tile) => this._isLoaded(tile, time));
+    this._planner.frame(time, cut.seen, isSettled);
     this._expect(time);
     this._fill();
+    const isChanged = this._placed !== this.sets;
+    this._placed = this.sets;
     return isChanged;
   }
 
-  /** Return whether a tile is there, or cannot be had now. */
-  _isLoaded(tile, time) {
-    return tile.slots || !tile.uris.length || tile.retryAt > time;
+  /** Out of view, request nothing, and give the slots to others until the next update. */
+  hide() {
+    this._camera = null;
+    for (const tile of this._planner.pending.keys()) this._planner.cancel(tile);
+    this._resize(false);
   }
 
   /** Request tiles for the last camera, in each frame and whenever a connection is free. */
   _fill() {
     if (!this._camera) return;
-    const time = performance.now() / 1000;
-    const finer = finerOrder(this.drawn.filter((tile) => tile.slots && tile.retryAt <= time), eyeOf(this._camera));
-    this._spare = this._room();
+    const finer = finerOrder(this.drawn.filter((tile) => tile.slots && tile.retryAt <= now()), eyeOf(this._camera));
     // What would not fit beside the tiles in flight is asked for later.
-    const isLoaded = (tile) => this._isLoaded(tile, time) || tile.needed > this._spare;
+    const isLoaded = (tile) => isSettled(tile) || tile.needed > this._room();
     this._planner.fill(isLoaded, finer, this._ahead, Boolean(this._path));
   }
 
@@ -307,19 +304,18 @@ export class TilesetModel {
   _expect(time) {
     const { horizonSeconds, horizonFractions, planSeconds } = this._rules;
     const { seen } = this._shown;
-    const isBusy = this._planner.missing((tile) => this._isLoaded(tile, time)).length > 0;
-    if (!isBusy && time - this._planned >= planSeconds) {
+    if (!this._planner.missing(isSettled).length && time - this._planned >= planSeconds) {
       const ahead = horizonFractions.map((share) => share * horizonSeconds);
-      const views = this._path
+      const predicted = (view) => view && { ...this._camera, view };
+      const cameras = this._path
         ? [...ahead, ...PATH_SECONDS].map(this._path)
-        : ahead.map((seconds) => this._predictor.predict(seconds)).map((view) => view && { ...this._camera, view });
-      const orders = views.filter(Boolean).map((camera) => requestOrder(this._cut(camera).seen));
+        : ahead.map((seconds) => predicted(this._predictor.predict(seconds)));
+      const orders = cameras.filter(Boolean).map((camera) => requestOrder(this._cut(camera).seen));
       [this._planned, this._future] = [time, [...new Set(orders.flat())]];
     }
     let slots = slotsOf([...seen.keys()]);
     this._ahead = this._future.filter((tile) => {
-      if (seen.has(tile)) return true;
-      if (slots + tile.needed > this.sets.length) return false;
+      if (seen.has(tile) || slots + tile.needed > this.sets.length) return false;
       slots += tile.needed;
       tile.seen = this._frame;
       return true;
@@ -334,20 +330,23 @@ export class TilesetModel {
     return { missing, holes, drawn: this.drawn.length, held: this._held.size, loading: this.loading, received, wasted };
   }
 
-  /** Take the own share of the slots of all tilesets in the page; return whether it has changed. */
-  _resize() {
-    const length = neighbours.has(this) ? Math.max(Math.floor(this._budget / neighbours.size), 1) : this.sets.length;
+  /** Take the own share of the slots of all tilesets in view; out of view, one slot. */
+  _resize(isInView) {
+    if (inView.has(this) !== isInView) {
+      inView[isInView ? "add" : "delete"](this);
+      inView.forEach((model) => model._options.onChange()); // their shares are others now
+    }
+    const length = isInView ? Math.max(Math.floor(this._budget / inView.size), 1) : 1;
     const before = this.sets.length;
     if (length > before) this._free.push(...Array.from({ length: length - before }, this._newSlot));
     while (this._free.length < before - length) this._release(this._oldest());
     for (const { buffers } of this._free.splice(0, before - length)) buffers.destroy();
     if (length !== before) this.sets = [...this._free, ...[...this._held].flatMap(({ slots }) => slots)];
-    return length !== before;
   }
 
-  /** Return the tile that no camera saw for the longest time. */
+  /** Return the tile that no camera saw for the longest time; of several, the finest. */
   _oldest() {
-    return [...this._held].reduce((first, other) => (other.seen < first.seen ? other : first));
+    return [...this._held].reduce((first, other) => ((other.seen - first.seen || first.level - other.level) < 0 ? other : first));
   }
 
   /** How many tiles are being loaded. */
@@ -384,14 +383,19 @@ export class TilesetModel {
       tile.children.push(...roots);
       if (roots.length) [tile.uris, tile.needed, tile.error] = [[], 0, Infinity]; // other tiles take its place
       this._place(tile, loaded.filter((part) => !(part instanceof Tile)), quality);
-      this._planner.arrive(tile, performance.now() / 1000, Number.isFinite(bytes) ? bytes : flight.loaded);
+      this._planner.arrive(tile, now(), Number.isFinite(bytes) ? bytes : flight.loaded);
     } catch (error) {
       if (signal.aborted) return;
       this._planner.pending.delete(tile);
       const pause = error.isTransient ? this._rules.retrySeconds * 2 ** tile.failures : Infinity;
-      tile.retryAt = performance.now() / 1000 + pause;
+      tile.retryAt = now() + pause;
       if (pause < Infinity) setTimeout(() => signal.aborted || this._options.onChange(), 1000 * pause);
       if (tile.failures++ === 0) this._options.onError(error);
+    } finally {
+      if (!this._stop.signal.aborted) {
+        this._fill();
+        this._options.onChange();
+      }
     }
   }
 
@@ -434,8 +438,7 @@ export class TilesetModel {
 
   destroy() {
     this._stop.abort();
-    neighbours.delete(this);
-    neighbours.forEach((model) => model._options.onChange()); // who have more now
+    this._resize(false);
     for (const { buffers } of this.sets) buffers.destroy();
   }
 }

@@ -211,6 +211,7 @@ class ModelOfThree extends PlacedModel {
       if (!(await this._render(width, height, look))) {
         throw new GsgenError("the model was removed before its picture was drawn");
       }
+      this.see();
       return encodedCanvas(this._shared.canvas, encoding);
     });
   }
