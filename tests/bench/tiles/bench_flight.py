@@ -29,7 +29,7 @@ from gsgen.tiles.build.engines.opening import open_engine
 from gsgen.tiles.build.frame import upright_transform
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import SilentProgress
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_contents
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.scoring.ssim import ssim
@@ -80,7 +80,7 @@ class Ladder:
         parts = [
             placed.relative_to_origin(np.zeros(3))
             for content in tile.contents
-            for placed in read_tile_content(self.store, self.tileset, tile, content)
+            for placed in read_contents(self.store, self.tileset, [(tile, content)])
         ]
         return join_splats(parts) if parts else None
 

@@ -12,9 +12,11 @@ for machines that are shared; GSGEN_BENCH_JOURNEY="walk at 8" picks one of the s
 import base64
 import json
 import os
+from collections.abc import Sequence
 from io import BytesIO
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -34,24 +36,91 @@ from bench.tiles.bench_request_order import (
 )
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.serving.faults import NetworkFaults
+from gsgen.tiles.simulate.client import PREFETCH_POLICIES, simulate
+from gsgen.tiles.simulate.network import RateTrace
 from support.measures import print_figure
 from support.tiles.serving import served
 from support.web import scenes
-from support.web.pages import chromium, site
+from support.web.pages import WebSite, chromium, site
 
 SSIM_BAR = 0.03  # below Python
+KNOWN_SECONDS = 16  # of the journeys whose path is known
+HITS_BAR, WASTE_BAR = 0.98, 0.03  # share of the oracle's hits, and of the bytes
+RTT = 0.05  # seconds to the first byte
 SLOWNESS = float(os.environ.get("GSGEN_BENCH_SLOWNESS", "4"))
 ONLY = os.environ.get("GSGEN_BENCH_JOURNEY", "")
 
 
+def streamed(
+    page: WebSite, scene: Town, path: Sequence[Pose], trace: RateTrace, **options: Any
+) -> dict[str, Any]:
+    """Stream a journey in a page, from a server of a constant rate; other options are the journey's."""
+    frame = np.linalg.inv(scene.tileset.transform)
+    faults = NetworkFaults(
+        bytes_per_second=float(trace.rates[0]) / SLOWNESS, latency=RTT * SLOWNESS
+    )
+    with served(Path(scene.address), faults, cors="*") as address:
+        journey = {
+            "address": f"{address}tileset.json",
+            "views": [(camera_of(pose).view @ frame).ravel().tolist() for pose in path],
+            "rate": RATE,
+            "moments": list(MOMENTS),
+            "camera": scenes.camera_of(camera_of(path[0], width=VIEW.width, height=VIEW.height)),
+            "slowness": SLOWNESS,
+            "options": {"maxError": VIEW.max_error, "maxSplats": 1 << 20},
+        }
+        result = page.call("streamedJourney", journey | options)
+    assert result["failures"] == []
+    return result
+
+
+def bench_known_paths(tmp_path: Path) -> None:
+    """Journeys that the page knows before: hits beside those of Python's client that knows the path."""
+    scene = Town.open(town(tmp_path))
+    rows: dict[str, list[float]] = {"oracle": [], "page": [], "waste": []}
+    with chromium() as browser, site(browser) as page:
+        page.open()
+        for network, (name, path) in product(DRAWN_NETWORKS, journeys(scene.tree).items()):
+            if ONLY not in f"{name} at {network}":
+                continue
+            path, trace = path[: RATE * KNOWN_SECONDS], networks()[network]
+            oracle, reactive = (
+                simulate(
+                    scene.tree,
+                    path,
+                    trace,
+                    ladder=scene.ladder,
+                    policy=policy,
+                    view=VIEW,
+                    rtt=RTT,
+                    connections=6,
+                ).metrics
+                for policy in PREFETCH_POLICIES[::-2]
+            )
+            result = streamed(page, scene, path, trace, moments=[], isKnown=True)
+            for key, value in zip(
+                rows, (oracle.hit_rate, result["hitRate"], result["waste"]), strict=True
+            ):
+                rows[key].append(value)
+            print_figure(
+                f"{name} at {network}: hits {result['hitRate']:.3f}, oracle {oracle.hit_rate:.3f}, "
+                f"reactive {reactive.hit_rate:.3f}; waste {result['waste']:.1%}, oracle "
+                f"{oracle.waste:.1%}; holes {result['holes']} of {result['frames']} frames, oracle "
+                f"{oracle.hole_frames}"
+            )
+    hits, waste = np.mean(rows["page"]) / np.mean(rows["oracle"]), np.mean(rows["waste"])
+    print_figure(
+        f"hits {hits:.3f} of the oracle's, bar {HITS_BAR}; waste {waste:.1%}, bar {WASTE_BAR:.0%}"
+    )
+    assert hits >= HITS_BAR
+    assert waste <= WASTE_BAR
+
+
 def bench_page_beside_python(tmp_path: Path) -> None:
     scene = Town.open(town(tmp_path))
-    frame = np.linalg.inv(scene.tileset.transform)
-    camera = scenes.camera_of(
-        camera_of(journeys(scene.tree)["walk"][0], width=VIEW.width, height=VIEW.height)
-    )
     names = scene.ladder.files
     file_of_uri = {uri: (row, q) for row, files in enumerate(names) for q, uri in enumerate(files)}
     scores: dict[str, list[float]] = {"Python": [], "page": []}
@@ -63,21 +132,7 @@ def bench_page_beside_python(tmp_path: Path) -> None:
             path = path[: int(RATE * (MOMENTS[-1] + 0.5))]
             trace = networks()[network]
             run = stream(scene.tree, scene.ladder, path, trace, root_alone)
-            faults = NetworkFaults(
-                bytes_per_second=float(trace.rates[0]) / SLOWNESS, latency=0.05 * SLOWNESS
-            )
-            with served(Path(scene.address), faults, cors="*") as address:
-                journey = {
-                    "address": f"{address}tileset.json",
-                    "views": [(camera_of(pose).view @ frame).ravel().tolist() for pose in path],
-                    "rate": RATE,
-                    "moments": list(MOMENTS),
-                    "camera": camera,
-                    "slowness": SLOWNESS,
-                    "options": {"maxError": VIEW.max_error, "maxSplats": 1 << 20},
-                }
-                result = page.call("streamedJourney", journey)
-            assert result["failures"] == []
+            result = streamed(page, scene, path, trace)
             rows = []
             for (pose, files, wanted), shot in zip(run.shots, result["shots"], strict=True):
                 whole = scene.image(pose, [(row, 0) for row in wanted])

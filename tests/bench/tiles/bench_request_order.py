@@ -24,7 +24,7 @@ from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.format.tileset import Tileset
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_contents
 from gsgen.tiles.loading.quality_ladder import QualityLadder, quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -334,7 +334,7 @@ class Town:
         if (row, quality) not in self.contents:
             tile = self.tree.tiles[row]
             file = replace(tile.contents[0], uri=self.ladder.files[row][quality])
-            parts = read_tile_content(self.store, self.tileset, tile, file)
+            parts = read_contents(self.store, self.tileset, [(tile, file)])
             splats = join_splats([part.relative_to_origin(np.zeros(3)) for part in parts])
             self.contents[row, quality] = splats
         return self.contents[row, quality]

@@ -22,7 +22,7 @@ from gsgen.formats import read_ply
 from gsgen.formats.shared.origins import join_splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.tiles.loading.leaves import place_content, read_tile_content
+from gsgen.tiles.loading.leaves import place_content, read_contents
 from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.scoring.ssim import ssim
@@ -89,7 +89,7 @@ def bytes_to_ssim(index: Path, references: list[np.ndarray], renderer: Renderer)
         tile, parts = tree.tiles[row], []
         for entry in tile.contents:
             if entry.rows is None:
-                parts += read_tile_content(store, tileset, tile, entry)
+                parts += read_contents(store, tileset, [(tile, entry)])
                 continue
             rows = sog_files.read(entry, lambda file, limit: store.read(file, limit=limit))
             parts += place_content(tileset, tile, entry, rows)

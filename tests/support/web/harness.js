@@ -291,10 +291,11 @@ export async function knownPathAndBudget(address, [first, last], options) {
 
 /**
  * Stream a tileset along a journey; return the files that are drawn at some moments.
- * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, slowness: number, options: any}} journey
- *     `views` are world → camera, so many a second. The page's clock goes slower, as the server does.
+ * @param {{address: string, views: number[][], rate: number, moments: number[], camera: any, slowness: number, options: any, isKnown?: boolean}} journey
+ *     `views` are world → camera, so many a second, which the tileset knows before or not. The page's
+ *     clock goes slower, as the server does.
  */
-export async function streamedJourney({ address, views, rate, moments, camera, slowness, options }) {
+export async function streamedJourney({ address, views, rate, moments, camera, slowness, options, isKnown = false }) {
   const { kernels } = await opening();
   performance.now = () => Performance.prototype.now.call(performance) / slowness;
   const tileset = await (await fetch(address)).arrayBuffer();
@@ -303,15 +304,22 @@ export async function streamedJourney({ address, views, rate, moments, camera, s
   const begin = performance.now();
   const model = await openModel(kernels, tileset, address, { ...options, source: address, onChange() {}, onError });
   const [shots, left] = [[], [...moments]];
-  let [frame, frames, holes] = [-1, 0, 0];
+  let [frame, frames, holes, entries, hits] = [-1, 0, 0, 0, 0];
+  let wanted = new Set(); // tiles that are seen and not refined
+  const cameraAt = (time) => ({ ...camera, view: views[Math.min(Math.floor(time * rate), views.length - 1)] });
   for (;;) {
     const now = (performance.now() - begin) / 1000;
     const next = Math.floor(now * rate);
     if (next >= views.length) break;
     if (next > frame) {
       frame = next;
-      await model.update({}, { ...camera, view: views[next] });
+      await model.update({}, cameraAt(now), isKnown ? (seconds) => cameraAt(now + seconds) : null);
       [frames, holes] = [frames + 1, holes + Number(model.statistics.holes > 0)];
+      const { seen, refined } = model._shown;
+      const before = wanted;
+      wanted = new Set([...seen.keys()].filter((tile) => tile.uris.length && !refined.has(tile)));
+      const entered = [...wanted].filter((tile) => !before.has(tile));
+      [entries, hits] = [entries + entered.length, hits + entered.filter(({ slots }) => slots).length];
       if (now >= left[0]) {
         const files = model.drawn.flatMap(({ quality, files: names, uris }) => names[quality]?.uri ?? uris);
         shots.push({ moment: left.shift(), now, files });
@@ -321,8 +329,9 @@ export async function streamedJourney({ address, views, rate, moments, camera, s
   }
   delete performance.now;
   const { statistics } = model;
+  const unseen = [...model._planner._unseen.values()].reduce((sum, bytes) => sum + bytes, statistics.wasted);
   model.destroy();
-  return { shots, failures, frames, holes, statistics };
+  return { shots, failures, frames, holes, statistics, hitRate: hits / entries, waste: unseen / statistics.received };
 }
 
 /** Draw sets in several sizes with one renderer; return the images, and how many buffers each size took. */

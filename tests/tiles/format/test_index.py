@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from gsgen.tiles.format.implicit_tiling.writing import implicit_uri, write_implicit_tileset
-from gsgen.tiles.format.index import ContentRecord, TileRecord, box_numbers, write_tileset
+from gsgen.tiles.format.index import (
+    ContentRecord,
+    TileRecord,
+    box_numbers,
+    tileset_document,
+    write_document,
+)
 from gsgen.tiles.format.metadata import TILE_CLASS, implicit_metadata_schema, metadata_schema
 from gsgen.tiles.loading.info import describe_tileset
 from gsgen.tiles.loading.leaves import read_leaves
@@ -18,6 +24,10 @@ from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
 
 def corner(*values: float) -> np.ndarray:
     return np.array(values)
+
+
+def write_tileset(path: Path, root: TileRecord, **facts: object) -> None:
+    write_document(path, tileset_document(root, **facts))
 
 
 def record(level: int, cell: tuple[int, int, int], **changes: object) -> TileRecord:

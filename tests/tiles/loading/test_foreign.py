@@ -10,7 +10,7 @@ import pytest
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
 from gsgen.formats import FormatWarning, read_ply
 from gsgen.tiles import validate
-from gsgen.tiles.loading.leaves import finest_contents, open_splats, read_leaves, read_tile_content
+from gsgen.tiles.loading.leaves import finest_contents, open_splats, read_contents, read_leaves
 from gsgen.tiles.loading.tileset_loader import load_tileset, open_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.zip_store import write_archive
@@ -27,11 +27,8 @@ def on_globe(path: Path) -> np.ndarray:
     store, index = open_store(path)
     with store:
         tileset = load_tileset(store, index)
-        parts = [
-            placed.positions()
-            for tile, content in finest_contents(tileset)
-            for placed in read_tile_content(store, tileset, tile, content)
-        ]
+        placed = read_contents(store, tileset, finest_contents(tileset))
+        parts = [part.positions() for part in placed]
     local = np.concatenate(parts)
     return local @ tileset.transform[:3, :3].T + tileset.transform[:3, 3]
 

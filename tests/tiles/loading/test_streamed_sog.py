@@ -8,7 +8,8 @@ import pytest
 
 from gsgen.formats import write_sog
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.loading.leaves import finest_contents, read_tile_content
+from gsgen.tiles.loading.leaves import finest_contents, read_contents
+from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.loading.tileset_loader import Limits, load_tileset, open_tileset
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.folder_store import FolderStore
@@ -53,12 +54,34 @@ def test_leaves_are_chains_of_tiles(tree: dict, tmp_path: Path) -> None:
     arrays = TileTree.of_tileset(tileset)
     assert arrays.splats[1:].tolist() == [9, 20, 4]
     store = FolderStore(tmp_path)
-    sizes = [
-        len(placed)
-        for tile, content in finest_contents(tileset)
-        for placed in read_tile_content(store, tileset, tile, content)
-    ]
-    assert sizes == [20, 20, 4]  # the environment, and the finest level of each leaf
+    placed = read_contents(store, tileset, finest_contents(tileset))
+    # The environment, and the finest level of each leaf.
+    assert [len(part) for part in placed] == [20, 20, 4]
+
+
+def test_a_file_of_several_leaves_is_decoded_once(
+    tree: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scores count the bytes of its meta.json and of its pictures."""
+    tileset, store, sog_files = (
+        open_tileset(write(tree, tmp_path)),
+        FolderStore(tmp_path),
+        SogFiles(),
+    )
+    decoded: list[str] = []
+    read = store.read
+    monkeypatch.setattr(
+        store, "read", lambda path, **rest: decoded.append(path) or read(path, **rest)
+    )
+    contents = [(tile, content) for tile in tileset.tiles() for content in tile.contents]
+    for _ in range(2):
+        placed = read_contents(store, tileset, contents, sog_files)
+        assert sorted(len(part) for part in placed) == [4, 9, 20, 20]
+    assert len(decoded) == len(set(decoded))
+    assert sog_files.sizes == {
+        f"{name}/meta.json": sum(file.stat().st_size for file in (tmp_path / name).iterdir())
+        for name in ("0_0", "1_0", "env")
+    }
 
 
 def test_without_errors_levels_are_told_apart_by_their_splats(tree: dict, tmp_path: Path) -> None:
@@ -95,8 +118,9 @@ def test_rows_images_and_limits_are_checked(tree: dict, tmp_path: Path) -> None:
     tileset = load_tileset(store, write(tree, tmp_path).name)
     tile = tileset.root.children[0].children[0]
     with pytest.raises(TilesetInvalid, match=r"(?s)row 20 of 0_0/meta.json.*rows from 0 to 19"):
-        read_tile_content(store, tileset, tile, tile.contents[0])
+        read_contents(store, tileset, [(tile, tile.contents[0])])
     meta = tmp_path / "1_0" / "meta.json"
     meta.write_text(meta.read_text().replace("means_l.webp", "../0_0/means_l.webp"))
+    tile = tileset.root.children[0]
     with pytest.raises(TilesetInvalid, match="a file in the same folder"):
-        read_tile_content(store, tileset, (tile := tileset.root.children[0]), tile.contents[0])
+        read_contents(store, tileset, [(tile, tile.contents[0])])

@@ -23,7 +23,7 @@ from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.format.volumes import Box
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_contents
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.folder_store import FolderStore
@@ -89,7 +89,7 @@ def content(index: Path, number: int) -> SplatSet:
     store = FolderStore(index.parent)
     tileset = load_tileset(store, index.name)
     tile = tileset.root.children[number]
-    (placed,) = read_tile_content(store, tileset, tile, tile.contents[0])
+    (placed,) = read_contents(store, tileset, [(tile, tile.contents[0])])
     return SplatSet(SplatData.from_splats(placed.relative_to_origin(np.zeros(3))))
 
 

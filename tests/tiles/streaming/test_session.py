@@ -15,7 +15,7 @@ from gsgen.contract.fetching import client
 from gsgen.formats import write_ply
 from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_contents
 from gsgen.tiles.loading.tileset_loader import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
@@ -165,7 +165,7 @@ def test_arrivals_hold_the_splats_of_their_tiles_in_morton_order(town: Path) -> 
     assert len(arrivals) > 3
     for tile, arrival in arrivals.items():
         entry = session.tree.tiles[tile]
-        (placed,) = read_tile_content(store, tileset, entry, entry.contents[0])
+        (placed,) = read_contents(store, tileset, [(entry, entry.contents[0])])
         expected = placed.positions()
         actual = arrival.rows[:, :3] + arrival.origin
         key = np.lexsort(np.round(expected, 3).T), np.lexsort(np.round(actual, 3).T)

@@ -19,7 +19,13 @@ from gsgen.tiles.build.neural_tiles import Generator, add_neural_tiles
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.tile import Tile
 from gsgen.tiles.format.implicit_tiling.writing import write_implicit_tileset
-from gsgen.tiles.format.index import BUILD_RECORD, TileRecord, write_build_record, write_tileset
+from gsgen.tiles.format.index import (
+    BUILD_RECORD,
+    TileRecord,
+    tileset_document,
+    write_build_record,
+    write_document,
+)
 from gsgen.tiles.format.json_values import JsonDict
 
 _WRITTEN_FILES: Final = (
@@ -71,7 +77,8 @@ def write_index(
             octree = replace(record, low=low, high=low + plan.cube.side)
             subtrees = write_implicit_tileset(output / name, octree, quality=quality, **facts)
         else:
-            write_tileset(output / name, record, quality=quality, **facts)
+            document = tileset_document(record, quality=quality, **facts)
+            write_document(output / name, document)
     files = {
         content.uri: (content.size, content.sha256)
         for tile in walk(root)

@@ -12,7 +12,7 @@ __all__ = [
     "morton",
     "tileset_document",
     "write_build_record",
-    "write_tileset",
+    "write_document",
 ]
 
 import hashlib
@@ -122,45 +122,6 @@ def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> s
     return f"t/{level}/{morton(coordinates)}-{digest}.glb"
 
 
-def write_tileset(
-    path: Path,
-    root: TileRecord,
-    *,
-    source_splats: int,
-    sh_degree: int,
-    codec: CodecName = "spz",
-    quality: int = 0,
-    transform: Float64[np.ndarray, "4 4"] | None = None,
-    origin: Origin | None = None,
-) -> None:
-    """Write the ``tileset.json`` of a tree of tiles, atomically.
-
-    Args:
-        path: The file to write; the contents' uris are relative to its folder.
-        root: The tree.
-        source_splats: How many splats the scene has: as many as all leaves together.
-        sh_degree: The highest degree of the contents.
-        codec: Of the contents.
-        quality: Which of each tile's contents the index names; the last where it has fewer.
-        transform: From the root frame to the globe (ECEF) or the world; identity where absent.
-        origin: The point of the scene that is 0, 0, 0 in the root frame; None for 0, 0, 0.
-
-    Raises:
-        FileUnwritable: The file could not be written or put in place.
-    """
-    document = tileset_document(
-        root,
-        source_splats=source_splats,
-        sh_degree=sh_degree,
-        codec=codec,
-        quality=quality,
-        transform=transform,
-        origin=origin,
-    )
-    with replace_file(path) as file:
-        file.write(json_bytes(document))
-
-
 def tileset_document(
     root: TileRecord,
     *,
@@ -171,7 +132,17 @@ def tileset_document(
     transform: Float64[np.ndarray, "4 4"] | None = None,
     origin: Origin | None = None,
 ) -> JsonDict:
-    """Return the ``tileset.json`` of a tree of tiles as a JSON object."""
+    """Return the ``tileset.json`` of a tree of tiles as a JSON object.
+
+    Args:
+        root: The tree; the contents' uris are relative to the folder of the index.
+        source_splats: How many splats the scene has: as many as all leaves together.
+        sh_degree: The highest degree of the contents.
+        codec: Of the contents.
+        quality: Which of each tile's contents the index names; the last where it has fewer.
+        transform: From the root frame to the globe (ECEF) or the world; identity where absent.
+        origin: The point of the scene that is 0, 0, 0 in the root frame; None for 0, 0, 0.
+    """
     root_record = _tile(root, quality)
     tree = root_record.document
     if transform is not None:
@@ -266,6 +237,11 @@ def write_build_record(
         "source_splats": source_splats,
         "version": 1,
     }
+    write_document(path, document)
+
+
+def write_document(path: Path, document: Mapping[str, object]) -> None:
+    """Write a JSON object into a file, atomically; raise FileUnwritable if that fails."""
     with replace_file(path) as file:
         file.write(json_bytes(document))
 

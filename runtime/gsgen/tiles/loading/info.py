@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, final
 
 from gsgen.tiles.format.tileset import Content, Tile, Tileset, is_count
-from gsgen.tiles.format.uris import resolve_uri
-from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES
 from gsgen.tiles.gltf.decoding import ContentHeader, read_header
+from gsgen.tiles.loading.leaves import open_tile_content
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -157,11 +157,6 @@ def _measured_from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _Measured
 def _measured_from_header(store: Store, content: Content) -> _MeasuredFile:
     store = store.for_one_tile()
     data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
-
-    def fetch(uri: str, location: str, size: int) -> bytes:
-        path = resolve_uri(content.uri, uri, location)
-        return store.read(path, size=size, limit=MAX_CONTENT_BYTES)
-
-    container = open_content(data, content.uri, fetch)
+    container = open_tile_content(store, content, data)
     header: ContentHeader = read_header(container, content.uri, len(data))
     return _MeasuredFile(header.splats, header.size, header.sh_degree)

@@ -5,13 +5,13 @@ __all__ = [
     "open_splats",
     "open_tile_content",
     "place_content",
+    "read_contents",
     "read_leaves",
-    "read_tile_content",
 ]
 
 import os
 import posixpath
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -34,21 +34,39 @@ from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 
 
-def read_tile_content(
-    store: Store, tileset: Tileset, tile: Tile, content: Content
+def read_contents(
+    store: Store,
+    tileset: Tileset,
+    contents: Iterable[tuple[Tile, Content]],
+    sog_files: SogFiles | None = None,
 ) -> list[PlacedSplats]:
-    """Return the splats of a tile's content in the frame of the root tile.
+    """Return the splats of contents of tiles in the frame of the root tile.
+
+    Args:
+        store: Of the tileset.
+        tileset: The tileset.
+        contents: Each with its tile.
+        sog_files: Files of a streamed SOG that were decoded before; None for none.
 
     Raises:
-        TilesetInvalid: The file is missing or wrong.
-        StoreUnavailable: It cannot be read now.
+        TilesetInvalid: A file is missing or wrong.
+        StoreUnavailable: A file cannot be read now.
     """
-    store = store.for_one_tile()
+    sog_files = sog_files or SogFiles()
+    return [
+        part
+        for tile, content in contents
+        for part in place_content(
+            tileset, tile, content, _opened(store.for_one_tile(), content, sog_files)
+        )
+    ]
+
+
+def _opened(store: Store, content: Content, sog_files: SogFiles) -> Container | Splats:
     if content.rows is not None:
-        splats = SogFiles().read(content, lambda file, limit: store.read(file, limit=limit))
-        return place_content(tileset, tile, content, splats)
+        return sog_files.read(content, lambda file, limit: store.read(file, limit=limit))
     data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
-    return place_content(tileset, tile, content, open_tile_content(store, content, data))
+    return open_tile_content(store, content, data)
 
 
 def open_tile_content(store: Store, content: Content, data: bytes) -> Container:
@@ -121,11 +139,7 @@ def read_leaves(
     store, index = open_store(os.fspath(source))
     with store:
         tileset = load_tileset(store, index, name=str(source))
-        parts = [
-            placed
-            for tile, content in finest_contents(tileset)
-            for placed in read_tile_content(store, tileset, tile, content)
-        ]
+        parts = read_contents(store, tileset, finest_contents(tileset))
     if not parts:
         raise TilesetInvalid(
             "no leaf tile has splats",

@@ -176,9 +176,13 @@ class SogFiles:
     """Decodes the files of a streamed SOG, each once for the tiles that are rows of it.
 
     Safe to use from many threads: tiles of a file that is on its way wait for it.
+
+    Attributes:
+        sizes: Bytes of each file, those of its pictures included.
     """
 
     def __init__(self) -> None:
+        self.sizes: dict[str, int] = {}
         self._lock = Lock()
         self._file_locks: defaultdict[str, Lock] = defaultdict(Lock)
         self._files: OrderedDict[str, Splats] = OrderedDict()
@@ -199,7 +203,7 @@ class SogFiles:
         with file_lock:
             splats = self._files.get(uri)
             if splats is None:
-                splats = _decode(uri, read_file)
+                splats, self.sizes[uri] = _decode(uri, read_file)
             self._keep(uri, splats)
         if rows.stop is not None and rows.stop > len(splats):
             raise TilesetInvalid(
@@ -223,8 +227,10 @@ def _memory(splats: Splats) -> int:
     return sum(getattr(splats, name).nbytes for name in SPLAT_ARRAY_NAMES)
 
 
-def _decode(uri: str, read_file: ReadFile) -> Splats:
+def _decode(uri: str, read_file: ReadFile) -> tuple[Splats, int]:
+    """Return the splats of a SOG file, and the bytes that were read for them."""
     folder, name = posixpath.split(uri)
+    sizes: list[int] = []
 
     def fetch(file: str, limit: int) -> bytes:
         if posixpath.basename(file) != file or file in ("", ".", ".."):
@@ -234,9 +240,11 @@ def _decode(uri: str, read_file: ReadFile) -> Splats:
                 expected="the name of a file in the same folder",
                 fault=Fault.URI,
             )
-        return read_file(posixpath.join(folder, file), limit)
+        data = read_file(posixpath.join(folder, file), limit)
+        sizes.append(len(data))
+        return data
 
     try:
-        return decode_sog(name, fetch)
+        return decode_sog(name, fetch), sum(sizes)
     except FormatError as error:
         raise _invalid(error, folder) from error

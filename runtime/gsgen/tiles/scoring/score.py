@@ -31,7 +31,8 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
-from gsgen.tiles.loading.leaves import open_splats, read_tile_content
+from gsgen.tiles.loading.leaves import open_splats, read_contents
+from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.opening import open_store
@@ -131,10 +132,11 @@ def score_tileset(
         expected = _draw(renderer, splats, cameras)
         pictures = {"scene": _first_picture_by_level(expected)}
         levels = []
+        sog_files = SogFiles()
         for level in range(_tileset_depth(tileset) + 1):
             progress(f"drawing level {level} of {_tileset_depth(tileset)}")
             level_contents = list(level_cut(tileset.root, level))
-            drawn, size = _read(store, tileset, level_contents)
+            drawn, size = _read(store, tileset, level_contents, sog_files)
             renders = _draw(renderer, drawn, cameras)
             pictures[f"level {level}"] = _first_picture_by_level(renders)
             levels.append(
@@ -182,14 +184,13 @@ def _tileset_depth(tileset: Tileset) -> int:
 
 
 def _read(
-    store: Store, tileset: Tileset, level_contents: list[tuple[Tile, Content]]
+    store: Store, tileset: Tileset, level_contents: list[tuple[Tile, Content]], sog_files: SogFiles
 ) -> tuple[Splats, int]:
     """Return the splats of tile contents as one set, and the bytes of their files."""
-    parts, size = [], 0
-    for tile, content in level_contents:
-        size += store.size(content.uri)
-        placed = read_tile_content(store, tileset, tile, content)
-        parts += [entry.relative_to_origin(np.zeros(3)) for entry in placed]
+    placed = read_contents(store, tileset, level_contents, sog_files)
+    parts = [entry.relative_to_origin(np.zeros(3)) for entry in placed]
+    uris = {content.uri for _, content in level_contents}  # tiles may be rows of one file
+    size = sum(sog_files.sizes.get(uri) or store.size(uri) for uri in uris)
     if not parts:
         raise TilesetInvalid(
             f"a level of detail of the tileset ({len(level_contents)} tiles) has no splats",

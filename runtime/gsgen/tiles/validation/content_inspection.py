@@ -24,12 +24,12 @@ from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.format.tileset import Content, Tile
-from gsgen.tiles.format.uris import resolve_uri
 from gsgen.tiles.format.volumes import Volume
-from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES, open_content
+from gsgen.tiles.gltf.container import MAX_CONTENT_BYTES
 from gsgen.tiles.gltf.decoding import ContentHeader, decode_content, read_header
 from gsgen.tiles.gltf.placement import place
 from gsgen.tiles.loading.build_record import read_build_record
+from gsgen.tiles.loading.leaves import open_tile_content
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
@@ -192,7 +192,7 @@ class _ContentReader:
             data = store.read(content.uri, limit=MAX_CONTENT_BYTES)
             if record is not None and content.uri in record.files:
                 result.sha256 = hashlib.sha256(data).hexdigest()
-            container = open_content(data, content.uri, self._resource_fetcher(store, content.uri))
+            container = open_tile_content(store, content, data)
             result.header = read_header(container, content.uri, len(data))
             if container.length not in (0, len(data)):
                 raise TilesetInvalid(
@@ -206,13 +206,6 @@ class _ContentReader:
         except TilesetInvalid as error:
             result.error = error
         return result
-
-    def _resource_fetcher(self, store: Store, base: str) -> Callable[[str, str, int], bytes]:
-        def fetch(uri: str, location: str, size: int) -> bytes:
-            path = resolve_uri(base, uri, location)
-            return store.read(path, size=size, limit=MAX_CONTENT_BYTES)
-
-        return fetch
 
     def _values(self, tile: Tile | None, content: Content, container: Container) -> ContentValues:
         decoded = decode_content(container, content.uri)

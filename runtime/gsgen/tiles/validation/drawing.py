@@ -22,7 +22,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
-from gsgen.tiles.loading.leaves import read_tile_content
+from gsgen.tiles.loading.leaves import read_contents
 from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_TILE_SHARE, cameras_around, level_cut
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.store import Store
@@ -210,11 +210,7 @@ class _TileRenderer:
         return count > MAX_DRAWN_SPLATS
 
     def _read(self, cut: list[tuple[Tile, Content]]) -> list[PlacedSplats]:
-        return [
-            part
-            for owner_tile, content in cut
-            for part in read_tile_content(self._store, self._tileset, owner_tile, content)
-        ]
+        return read_contents(self._store, self._tileset, cut)
 
     def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RgbaImage]:
         scene = Scene([SplatData.from_splats(splats)])

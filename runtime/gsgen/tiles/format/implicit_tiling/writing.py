@@ -19,7 +19,14 @@ from gsgen.formats.shared.files import make_folder, replace_file
 from gsgen.formats.shared.origins import Origin
 from gsgen.tiles.format.extensions import CodecName
 from gsgen.tiles.format.implicit_tiling.subtree import tile_count
-from gsgen.tiles.format.index import TileRecord, box_numbers, json_bytes, morton, tileset_document
+from gsgen.tiles.format.index import (
+    TileRecord,
+    box_numbers,
+    json_bytes,
+    morton,
+    tileset_document,
+    write_document,
+)
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.metadata import FILES_PROPERTY, TILE_CLASS, implicit_metadata_schema
 
@@ -108,8 +115,7 @@ def write_implicit_tileset(
         make_folder(path.parent / uri)
         with replace_file(path.parent / uri) as file:
             file.write(data)
-    with replace_file(path) as file:
-        file.write(json_bytes(document))
+    write_document(path, document)
     return list(subtrees)
 
 
