@@ -70,7 +70,7 @@ class Client:
 
     def look(self, pose: Pose) -> None:
         """Cut the tree for a camera; a coarse tile covers the area of the tiles below it."""
-        self.cut = cut_tree(self.tree, VIEW.frustum(pose.position, pose.quaternion), VIEW.max_error)
+        self.cut = cut_tree(self.tree, VIEW.frustum(pose), VIEW.max_error)
         self.eye, tree = pose.position, self.tree
         self.drawn = drawable_tiles(tree, self.cut, self.held >= 0)
         reach = np.linalg.norm(tree.half_axes, axis=(1, 2))

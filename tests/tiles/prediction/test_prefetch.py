@@ -30,13 +30,15 @@ def test_frames_that_are_drawn_are_forgotten(
 ) -> None:
     """The frame of the present moment has been requested by itself."""
     tree = tree_of([-1, 0, 0, 0])
-    frustums = [ViewSettings(fov_y=angle).frustum(eye, turn) for eye, turn, angle in path]
+    frustums = [
+        ViewSettings(fov_y=angle).frustum(Pose(0.0, eye, turn)) for eye, turn, angle in path
+    ]
     times = None if is_film else [float(number) for number in range(len(path))]
     prefetch = PathPrefetch(tree, frustums, 0.01, times=times)
     everything = np.ones(len(tree), bool)
-    for number, (eye, _, _) in enumerate(path):
-        quaternion = matrix_quaternion(frustums[number].rotation.T)
-        prefetch.observe(Pose(float(number), eye, quaternion, frustums[number].focal))
+    for number, frustum in enumerate(frustums):
+        quaternion = matrix_quaternion(frustum.rotation.T)
+        prefetch.observe(Pose(float(number), frustum.eye, quaternion, frustum.focal))
         assert prefetch.candidates(everything) == []
         first = number if is_film else number + 1
         assert sorted(prefetch._orders) == list(range(first, len(path)))

@@ -10,7 +10,8 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.distortion import Distortion
 from gsgen.tiles.format.tileset import Tile, Tileset
 from gsgen.tiles.format.volumes import Box, Region, Sphere, ecef
-from gsgen.tiles.prediction.poses import matrix_quaternion
+from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
+from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.request_order import request_order
@@ -130,7 +131,8 @@ def test_a_pose_is_the_camera_with_that_matrix() -> None:
     view[:3, :3], view[:3, 3] = turn.T, -turn.T @ eye
     focal = 120 / np.tan(np.radians(30))
     camera = Camera(view, fx=focal, fy=focal, cx=200, cy=120, width=400, height=240)
-    pose = Frustum.from_pose(eye, 3 * quaternion, width=400, height=240, fov_y=60)
+    settings = ViewSettings(width=400, height=240, fov_y=60)
+    pose = settings.frustum(Pose(0.0, eye, 3 * quaternion))
     same = Frustum.from_camera(camera)
     np.testing.assert_allclose(pose.planes, same.planes, atol=1e-12)
     np.testing.assert_allclose(pose.eye, same.eye, atol=1e-12)

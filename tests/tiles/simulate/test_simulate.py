@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.loading.quality_ladder import QualityLadder
 from gsgen.tiles.loading.tileset_loader import open_tileset
-from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictor import ConstantVelocity
 from gsgen.tiles.prediction.prefetch import ViewSettings
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -20,6 +21,7 @@ from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
 from gsgen.tiles.simulate.prediction_error import prediction_error
 from gsgen.tiles.simulate.report import metrics_document
 from gsgen.tiles.simulate.tables import read_path, read_trace
+from gsgen.tiles.validation.sketches import explicit_sketch
 from support.commands import gsgen_here
 from support.tiles.journeys import (
     PATH_HEADER,
@@ -207,6 +209,31 @@ def test_the_table_and_the_plot_compare_all_policies(tmp_path: Path) -> None:
     result = gsgen_here("tiles", "simulate", tileset, *options, "--plot", tmp_path / "plot.xyz")
     assert result.code == 2
     assert "plot.xyz" in result.err
+
+
+def test_pictures_on_the_way_are_scored(tmp_path: Path) -> None:
+    """Nothing is drawn at first, on black; in the end what all tiles at their finest files show."""
+    tileset = explicit_sketch(qualities=(0, 2, 4))
+    tileset.write(tmp_path / "tileset.json")
+    camera = Camera.look_at([5, -14, 5], [5, 0, 0], up=(0, 0, 1), width=64, height=48)
+    quaternion = matrix_quaternion(camera.view[:3, :3].T)
+    poses = [[time, *camera.eye, *quaternion] for time in np.arange(3, 8.5, 0.5)]
+    path = write_rows(tmp_path / "path.csv", PATH_HEADER, poses)
+    trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, [(0.0, 0.05)])
+    options = ["--path", path, "--network", trace, "--width", "64", "--height", "48", "--sse", "1"]
+    command = ["tiles", "simulate", tmp_path, *options, "--policy", "all"]
+    result = gsgen_here(*command, "--score", "5,0,1.2", "--json")
+    assert result.code == 0, result.err
+    for simulation in json.loads(result.out):
+        scores = {entry["t"]: entry["ssim"] for entry in simulation["ssim"]}
+        assert list(scores) == [0, 1.2, 5]
+        assert scores[0] < scores[1.2] < scores[5] == pytest.approx(1)
+    assert "SSIM at 1.2 s" in gsgen_here(*command, "--score", "1.2").out
+    for score, message in (("1,x", "seconds such as 1,2,5"), ("9", "from 0 to 5")):
+        result = gsgen_here(*command, "--score", score)
+        assert result.code == 2
+        assert "--score" in result.err
+        assert message in result.err
 
 
 @pytest.mark.parametrize(

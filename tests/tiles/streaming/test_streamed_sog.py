@@ -1,6 +1,7 @@
 """A streamed SOG is drawn by the planner of tilesets, from files that each come once."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,12 +61,14 @@ def test_a_server_is_asked_for_each_file_once(
     from gsgen.tiles.stores.http_store import HttpStore
 
     asked: list[str] = []
-    read = HttpStore.read_whole
-    monkeypatch.setattr(
-        HttpStore,
-        "read_whole",
-        lambda store, path, *rest: asked.append(path) or read(store, path, *rest),
-    )
+    read = HttpStore.read
+
+    def count(store: HttpStore, path: str, **rest: Any) -> bytes:
+        if "on_bytes" in rest:  # of a tile
+            asked.append(path)
+        return read(store, path, **rest)
+
+    monkeypatch.setattr(HttpStore, "read", count)
     options = SessionOptions(max_error=0.01, cache_folder=tmp_path / "cache")
     counts = []
     with served(town) as address:

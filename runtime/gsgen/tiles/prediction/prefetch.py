@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Int64
 
 from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.runtime.scene.camera import Camera
 from gsgen.tiles.prediction.poses import Pose
 from gsgen.tiles.prediction.predictor import Predictor
 from gsgen.tiles.selection.cut import cut_tree
@@ -45,13 +46,24 @@ class ViewSettings:
     fov_y: float = 50.0
     max_error: float = 16.0
 
-    def frustum(
-        self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
-    ) -> Frustum:
-        """Return the view frustum of a camera pose."""
-        return Frustum.from_pose(
-            position, quaternion, width=self.width, height=self.height, fov_y=self.fov_y
+    def camera(self, pose: Pose) -> Camera:
+        """Return the pinhole camera of a pose, whose principal point is the image centre."""
+        view, focal = np.eye(4), self.height / 2 / math.tan(math.radians(self.fov_y) / 2)
+        view[:3, :3] = rotation_matrix(pose.quaternion[None] / np.linalg.norm(pose.quaternion))[0].T
+        view[:3, 3] = -view[:3, :3] @ pose.position
+        return Camera(
+            view,
+            fx=focal,
+            fy=focal,
+            cx=self.width / 2,
+            cy=self.height / 2,
+            width=self.width,
+            height=self.height,
         )
+
+    def frustum(self, pose: Pose) -> Frustum:
+        """Return the view frustum of a camera pose."""
+        return Frustum.from_camera(self.camera(pose))
 
 
 class Prefetch(Protocol):
@@ -73,7 +85,7 @@ class HorizonPrefetch:
     Args:
         tree: The tiles.
         predictor: Of the camera.
-        frustum_at: Returns the frustum of a position and a quaternion.
+        frustum_at: Returns the frustum of a pose.
         max_error: Screen-space error above which tiles are refined, in pixels.
     """
 
@@ -81,7 +93,7 @@ class HorizonPrefetch:
         self,
         tree: TileTree,
         predictor: Predictor,
-        frustum_at: Callable[[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 4"]], Frustum],
+        frustum_at: Callable[[Pose], Frustum],
         max_error: float,
     ) -> None:
         self._tree, self._predictor = tree, predictor
@@ -109,8 +121,7 @@ class HorizonPrefetch:
         reach = min(PREDICTION_HORIZON, self._predictor.reach)
         order: dict[int, None] = {}  # each tile once, where the first predicted pose sees it
         for pose in self._predictor.predict([reach * share for share in HORIZON_FRACTIONS]):
-            frustum = self._frustum_at(pose.position, pose.quaternion)
-            cut = cut_tree(self._tree, frustum, self._max_error)
+            cut = cut_tree(self._tree, self._frustum_at(pose), self._max_error)
             order.update(dict.fromkeys(request_order(self._tree, cut).tolist()))
         return list(order)
 

@@ -7,6 +7,7 @@ __all__ = [
     "LevelScore",
     "TilesetScore",
     "cameras_around",
+    "draw",
     "draw_sheet",
     "level_cut",
     "score_tileset",
@@ -242,18 +243,25 @@ def cameras_around(
     ]
 
 
+def draw(
+    renderer: Renderer, splats: Splats, cameras: list[Camera], alpha: float = 1.0
+) -> list[Float32[np.ndarray, "h w 4"]]:
+    """Return RGBA pictures of splats from cameras, on black of an alpha."""
+    scene, pictures = Scene([SplatData.from_splats(splats)]), []
+    for camera in cameras:
+        frame = renderer.render(scene, camera, background=(0, 0, 0, alpha))
+        assert frame.rgba is not None
+        pictures.append(np.clip(frame.rgba, 0, 1))
+    return pictures
+
+
 def _draw(
     renderer: Renderer, splats: Splats, cameras: dict[str, list[Camera]]
 ) -> dict[str, list[Picture]]:
-    scene = Scene([SplatData.from_splats(splats)])
-    pictures: dict[str, list[Picture]] = {}
-    for name, views in cameras.items():
-        pictures[name] = []
-        for camera in views:
-            frame = renderer.render(scene, camera, background=(0, 0, 0, 1))
-            assert frame.rgba is not None
-            pictures[name].append(np.clip(frame.rgba[..., :3], 0, 1))
-    return pictures
+    return {
+        name: [picture[..., :3] for picture in draw(renderer, splats, views)]
+        for name, views in cameras.items()
+    }
 
 
 def _first_picture_by_level(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:

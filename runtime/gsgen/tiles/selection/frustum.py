@@ -40,43 +40,6 @@ class Frustum:
     flat: bool = False
 
     @classmethod
-    def from_pose(
-        cls,
-        position: Float64[np.ndarray, " 3"],
-        quaternion: Float64[np.ndarray, " 4"],
-        *,
-        width: int,
-        height: int,
-        fov_y: float,
-    ) -> "Frustum":
-        """Return the view frustum of a pinhole camera whose principal point is the image centre.
-
-        Args:
-            position: Camera centre in the root frame.
-            quaternion: Camera → root frame, (w, x, y, z), of any length; OpenCV axes.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
-            fov_y: Vertical field of view, in degrees.
-        """
-        turn = rotation_matrix(quaternion[None] / np.linalg.norm(quaternion))[0].T
-        focal = height / 2 / math.tan(math.radians(fov_y) / 2)
-        sides = np.array(
-            [
-                [focal, 0, width / 2],
-                [-focal, 0, width / 2],
-                [0, focal, height / 2],
-                [0, -focal, height / 2],
-                [0, 0, 1],
-            ]
-        )
-        return cls(
-            planes=_frustum_planes(sides, np.zeros(5), turn, -turn @ position),
-            eye=np.asarray(position, np.float64),
-            rotation=turn,
-            focal=focal,
-        )
-
-    @classmethod
     def from_camera(
         cls, camera: "Camera", placement: Float64[np.ndarray, "4 4"] | None = None
     ) -> "Frustum":

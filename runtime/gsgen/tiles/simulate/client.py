@@ -12,13 +12,14 @@ The reactive client is normative. Frames are the rows of the path. At each frame
    index), in depth-first order; as long as the root is missing, for no other.
 """
 
-__all__ = ["PREFETCH_POLICIES", "Simulation", "simulate"]
+__all__ = ["PREFETCH_POLICIES", "DrawnMoment", "Simulation", "simulate"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, final
 
 import numpy as np
+from jaxtyping import Bool
 
 from gsgen.tiles.loading.quality_ladder import QualityLadder, TileQualities
 from gsgen.tiles.prediction.poses import Pose
@@ -29,11 +30,28 @@ from gsgen.tiles.selection.request_order import finer_file_order
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
 from gsgen.tiles.simulate.prediction_error import PredictionError, prediction_error
+from gsgen.tiles.streaming.drawing import drawable_tiles
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.planner import RequestPlanner
 
 Policy = Literal["reactive", "predictive", "oracle"]
 PREFETCH_POLICIES: Final[tuple[Policy, ...]] = ("reactive", "predictive", "oracle")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnMoment:
+    """What a frame of a simulation draws.
+
+    Attributes:
+        pose: Of the camera.
+        drawn: The tiles, each with its file: 0 is the finest.
+        wanted: The tiles once all have come.
+    """
+
+    pose: Pose
+    drawn: dict[int, int]
+    wanted: tuple[int, ...]
 
 
 @final
@@ -48,6 +66,8 @@ class Simulation:
         share_loaded: Share of the wanted tiles that were there, of each frame.
         received: Bytes received up to each frame.
         prediction: How far predicted cameras were from the path; None of other policies.
+        moments: What was drawn at the seconds of the path that were asked for.
+        ssim: Of the pictures at these seconds, where they were compared.
     """
 
     policy: Policy
@@ -56,6 +76,8 @@ class Simulation:
     share_loaded: tuple[float, ...]
     received: tuple[int, ...]
     prediction: PredictionError | None = None
+    moments: dict[float, DrawnMoment] = field(default_factory=dict, compare=False)
+    ssim: dict[float, float] = field(default_factory=dict)
 
 
 def simulate(
@@ -69,6 +91,7 @@ def simulate(
     view: ViewSettings | None = None,
     rtt: float = 0.05,
     connections: int = 1,
+    moments: Sequence[float] = (),
 ) -> Simulation:
     """Stream a tileset's tiles along a camera path over a simulated network.
 
@@ -86,6 +109,7 @@ def simulate(
         view: Image and error of the client; 1280 × 720, 50°, 16 pixels where absent.
         rtt: Seconds from a request to the first byte.
         connections: How many requests may run at once.
+        moments: Seconds from the start of the path; what the next frame draws is kept.
     """
     view = view or ViewSettings()
     clock = VirtualClock(path[0].time)
@@ -99,7 +123,7 @@ def simulate(
     if policy == "predictive":
         prefetch = HorizonPrefetch(tree, predictor(), view.frustum, view.max_error)
     elif policy == "oracle":
-        frustums = [view.frustum(pose.position, pose.quaternion) for pose in path]
+        frustums = [view.frustum(pose) for pose in path]
         times = [pose.time for pose in path]
         prefetch = PathPrefetch(tree, frustums, view.max_error, times=times)
     planner = RequestPlanner(tree, link, recorder, prefetch)
@@ -107,6 +131,7 @@ def simulate(
     drawn_shares, received = [], []
     cut: TileCut | None = None
     eye = path[0].position
+    shots: dict[float, DrawnMoment] = {}
 
     def finer_tiles() -> list[int]:
         if qualities is None or cut is None:
@@ -126,12 +151,15 @@ def simulate(
                 next_size[tile] = qualities.size(tile, 0)
             planner.arrive(tile, tile_delivery.time)
             planner.fill(loaded, finer_tiles())
-        frustum, eye = view.frustum(pose.position, pose.quaternion), pose.position
+        frustum, eye = view.frustum(pose), pose.position
         cut = cut_tree(tree, frustum, view.max_error)
         recorder.frame(pose.time, cut, loaded)
         planner.frame(pose, cut, loaded)
         planner.fill(loaded, finer_tiles())
         count = int(cut.selected.sum())
+        for seconds in moments:
+            if seconds not in shots and pose.time >= path[0].time + seconds:
+                shots[seconds] = _drawn_moment(tree, pose, cut, loaded, qualities)
         drawn_shares.append(int((cut.selected & loaded).sum()) / count if count else 1.0)
         received.append(recorder.bytes)
     return Simulation(
@@ -143,4 +171,20 @@ def simulate(
         prediction=prediction_error(tree, path, predictor(), view)
         if policy == "predictive"
         else None,
+        moments=shots,
     )
+
+
+def _drawn_moment(
+    tree: TileTree,
+    pose: Pose,
+    cut: TileCut,
+    loaded: Bool[np.ndarray, " n"],
+    qualities: TileQualities | None,
+) -> DrawnMoment:
+    drawn, wanted = (
+        [int(row) for row in np.flatnonzero(mask) if tree.tiles[row].contents]
+        for mask in (drawable_tiles(tree, cut, there) for there in (loaded, loaded | True))
+    )
+    files = {row: int(qualities.gpu_quality[row]) if qualities else 0 for row in drawn}
+    return DrawnMoment(pose=pose, drawn=files, wanted=tuple(wanted))

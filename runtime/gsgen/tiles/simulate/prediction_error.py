@@ -59,7 +59,7 @@ def prediction_error(
         turn = rotation_vector(quaternion_product(predictions[-1].quaternion, inverse))
         turns.append(float(np.degrees(np.linalg.norm(turn))))
         cuts = [
-            cut_tree(tree, view.frustum(entry.position, entry.quaternion), view.max_error)
+            cut_tree(tree, view.frustum(entry), view.max_error)
             for entry in (*predictions, actual[-1])
         ]
         wanted = cuts[-1].selected

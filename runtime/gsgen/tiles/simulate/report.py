@@ -25,6 +25,8 @@ def metrics_document(simulation: Simulation) -> JsonDict:
         metrics["prediction"] = {
             name: None if math.isnan(value) else value for name, value in errors
         }
+    if simulation.ssim:
+        metrics["ssim"] = [{"t": seconds, "ssim": x} for seconds, x in simulation.ssim.items()]
     return {"policy": simulation.policy, **metrics}
 
 
@@ -46,6 +48,9 @@ def format_table(simulations: Sequence[Simulation]) -> str:
     for name, text in rows:
         values = "".join(f"{text(s.metrics).replace('nan s', 'never'):>14}" for s in simulations)
         lines.append(f"{name:18}{values}")
+    for seconds in sorted({seconds for s in simulations for seconds in s.ssim}):
+        values = "".join(f"{s.ssim[seconds]:>14.4f}" for s in simulations)
+        lines.append(f"{f'SSIM at {seconds:g} s':18}{values}")
     return "\n".join(lines)
 
 

@@ -58,8 +58,13 @@ class HttpStore(Store):
         start: int = 0,
         size: int | None = None,
         limit: int = MAX_STORE_FILE_BYTES,
+        on_bytes: Callable[[int], None] = lambda count: None,
     ) -> bytes:
-        """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
+        """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`.
+
+        ``on_bytes`` is called with the number of bytes that have come; an exception that it raises
+        ends the request and is passed on.
+        """
         if size == 0:
             return b""
         with _translate_faults(self._full_location(path)):
@@ -68,28 +73,8 @@ class HttpStore(Store):
                 max_bytes=limit,
                 start=start,
                 size=size,
+                on_bytes=on_bytes,
                 deadline=self._deadline,
-            )
-
-    def read_whole(
-        self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_STORE_FILE_BYTES
-    ) -> bytes:
-        """Read a whole file from the web server, and report the progress.
-
-        Args:
-            path: Relative to the folder.
-            on_bytes: Called with the number of bytes that have come; an exception that it raises
-                ends the request and is passed on.
-            limit: The most that is read.
-
-        Raises:
-            ContentMissing: There is no such file.
-            StoreUnavailable: The server cannot be read now.
-            TilesetInvalid: The file is larger than ``limit``.
-        """
-        with _translate_faults(self._full_location(path)):
-            return self._client.read(
-                self._url_of_path(path), max_bytes=limit, on_bytes=on_bytes, deadline=self._deadline
             )
 
     def save(self, path: str, into: BinaryIO, limit: int = MAX_STORE_FILE_BYTES) -> None:

@@ -119,7 +119,7 @@ class ContentReader:
             return store.read(uri, limit=limit)
         data = self._disk_cache.get(store.name, uri, digest) if self._disk_cache else None
         if data is None:
-            data = store.read_whole(uri, on_bytes, limit)
+            data = store.read(uri, limit=limit, on_bytes=on_bytes)
             if self._disk_cache:
                 self._disk_cache.put(store.name, uri, data, digest)
         return data

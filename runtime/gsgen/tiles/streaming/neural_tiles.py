@@ -15,13 +15,13 @@ A tile shows its own splats until its generator has run, and again when the gene
 breaks a promise: then a line names the tile, and the model is not run again.
 """
 
-__all__ = ["NeuralTiles", "NeuralTilesOptions"]
+__all__ = ["NeuralTiles"]
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -39,10 +39,7 @@ from gsgen.tiles.streaming.events import EventLog, NeuralEvents
 from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
-from gsgen.tiles.streaming.session_frame import TileArrival
-
-if TYPE_CHECKING:
-    from gsgen.sdk.binding.confined.models import ConfinedModels
+from gsgen.tiles.streaming.session_frame import SessionOptions, TileArrival
 
 
 class _RunInputs(NamedTuple):
@@ -55,29 +52,6 @@ class _RunInputs(NamedTuple):
 
     camera: tuple[bytes, tuple[object, ...]] | None
     time: float | None
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NeuralTilesOptions:
-    """Limits on running ONNX generators of tiles: open sessions, runs per second, uploaded bytes.
-
-    Attributes:
-        sessions: Most generators that are open at once.
-        runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
-            for every run.
-        upload_budget: Bytes of arrivals and of new rows in a frame.
-        slot_rows: Rows of a slot of the splat pool.
-        provider: Execution provider of ONNX Runtime.
-        confined: Runs the generators in child processes with limits, one each.
-    """
-
-    sessions: int
-    runs_per_second: float
-    upload_budget: int
-    slot_rows: int
-    provider: str = "cpu"
-    confined: "ConfinedModels | None" = None
 
 
 @final
@@ -119,7 +93,7 @@ class NeuralTiles:
         tree: The tiles.
         read_model: Reads the model of a tile; called on a thread.
         clock: Of the rate of runs.
-        options: The budgets.
+        options: The budgets, and what runs the models.
         sh_degree: Of the splat pool.
         max_rows: Rows of the splat pool; a tile that declares more draws its splats.
         report: Receives a line for each generator that cannot be run.
@@ -131,7 +105,7 @@ class NeuralTiles:
         tree: TileTree,
         read_model: ModelReader,
         clock: Clock,
-        options: NeuralTilesOptions,
+        options: SessionOptions,
         *,
         sh_degree: int,
         max_rows: int,
@@ -364,7 +338,7 @@ class NeuralTiles:
             for tile in tiles
             if self._retry_at.get(tile, -np.inf) <= time
         }
-        return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
+        return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.neural_sessions]
 
     def _close_unused_generators(self, tiles: Sequence[int], time: float) -> None:
         """Close the longest unused ONNX generators to make room for those that this frame needs."""
@@ -376,7 +350,9 @@ class NeuralTiles:
             for tile in tiles
         )
         excess_generator_count -= (
-            self._options.sessions - len(self._open_generators) - len(self._loading_generators)
+            self._options.neural_sessions
+            - len(self._open_generators)
+            - len(self._loading_generators)
         )
         unused_tiles = sorted(
             (tile for tile in self._open_generators if tile not in tiles),
@@ -388,7 +364,7 @@ class NeuralTiles:
     def _load_generators(self, tiles: Sequence[int]) -> None:
         """Begin to open the ONNX generator of the largest tile whose model is not open."""
         for tile in tiles:
-            has_room = len(self._open_generators) < self._options.sessions
+            has_room = len(self._open_generators) < self._options.neural_sessions
             if tile not in self._open_generators and not self._loading_generators and has_room:
                 self._loading_generators[tile] = self._loader.submit(self._opener.open, tile)
 
@@ -415,7 +391,7 @@ class NeuralTiles:
         rate = self._options.runs_per_second
         if np.isfinite(rate):
             self._run_tokens += rate * (time - self._token_time)
-            self._run_tokens = min(self._run_tokens, float(max(self._options.sessions, 1)))
+            self._run_tokens = min(self._run_tokens, float(max(self._options.neural_sessions, 1)))
         else:
             self._run_tokens = np.inf
         self._token_time = time

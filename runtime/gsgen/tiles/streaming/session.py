@@ -3,7 +3,7 @@
 __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -14,7 +14,7 @@ from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.formats.glb.container import Container
 from gsgen.formats.shared.origins import Origin
 from gsgen.formats.shared.splats import NO_ORIGIN, Splats
-from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
+from gsgen.runtime.scene.splat_pool import pool_row_bytes
 from gsgen.tiles.loading.quality_ladder import TileQualities, quality_ladder
 from gsgen.tiles.loading.tileset_loader import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -30,67 +30,29 @@ from gsgen.tiles.stores.store import Store
 from gsgen.tiles.streaming.clock import Clock, SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
-from gsgen.tiles.streaming.drawing import FADE_SECONDS, TileFades, drawable_tiles
+from gsgen.tiles.streaming.drawing import TileFades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog, print_line
-from gsgen.tiles.streaming.fetch import RETRY_AFTER, FailedTiles, FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import FailedTiles, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
-from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
+from gsgen.tiles.streaming.neural_tiles import NeuralTiles
 from gsgen.tiles.streaming.planner import RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
-from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
+from gsgen.tiles.streaming.session_frame import (
+    RUNS_PER_SECOND,
+    DrawnTile,
+    SessionFrame,
+    SessionOptions,
+    TileArrival,
+)
 
 if TYPE_CHECKING:
-    from gsgen.sdk.binding.confined.models import ConfinedModels
+    pass
 
-UPLOAD_BUDGET: Final = 4 << 20
-RUNS_PER_SECOND: Final = 25.0
 _ERROR_STEP: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MAX_ERROR_STEPS: Final = 80
 _QUEUED_FRAMES: Final = 2  # whose uploads are requested ahead
 _MAX_PENDING_UPLOADS: Final = 64  # decoded tiles that wait for their upload
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionOptions:
-    """The options of a streaming session.
-
-    Attributes:
-        max_error: Screen-space error above which tiles are refined, in pixels.
-        max_splats: Rows of the pool, in whole slots.
-        slot_rows: Rows of a slot.
-        upload_budget: Bytes of arrivals in a frame.
-        fade_seconds: Of a cross-fade; 0 for pictures that do not depend on time.
-        connections: Requests at once.
-        predictor: A name or a file, see :func:`predictor_maker`.
-        cache_bytes: Cap of the disk cache; 0 for none.
-        cache_folder: Of the disk cache; the user's where absent.
-        allow_origins: Other origins that redirects may lead to.
-        log: File of events as JSON lines; None for none.
-        neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
-        provider: Execution provider of ONNX Runtime for these generators.
-        confined: Runs models in child processes with limits; None runs them in this process.
-        runs_per_second: Most runs of all generators in a second; infinite to wait for each run.
-        retry_seconds: Until a tile that a server did not give is requested again, at first.
-    """
-
-    max_error: float = 16.0
-    max_splats: int = 2_000_000
-    slot_rows: int = SLOT_ROWS
-    upload_budget: int = UPLOAD_BUDGET
-    fade_seconds: float = FADE_SECONDS
-    connections: int = 6
-    predictor: str = "constant-velocity"
-    cache_bytes: int = 2 << 30
-    cache_folder: Path | None = None
-    allow_origins: tuple[str, ...] = ()
-    log: Path | None = None
-    neural_sessions: int = 4
-    provider: str = "cpu"
-    confined: "ConfinedModels | None" = None
-    runs_per_second: float = RUNS_PER_SECOND
-    retry_seconds: float = RETRY_AFTER
 
 
 def open_session(
@@ -233,14 +195,7 @@ class TilesetSession:
             self.tree,
             read_model,
             self._clock,
-            NeuralTilesOptions(
-                sessions=options.neural_sessions,
-                runs_per_second=options.runs_per_second,
-                upload_budget=options.upload_budget,
-                slot_rows=options.slot_rows,
-                provider=options.provider,
-                confined=options.confined,
-            ),
+            options,
             sh_degree=self.sh_degree,
             max_rows=self.pool_slots * self.slot_rows,
             report=self._report_generators or self._report,
@@ -337,9 +292,9 @@ class TilesetSession:
         if self._log:
             self._log.close()
 
-    def _frustum_at(self, position: np.ndarray, quaternion: np.ndarray) -> Frustum:
+    def _frustum_at(self, pose: Pose) -> Frustum:
         assert self._frustum is not None
-        return self._frustum.moved(position, quaternion)
+        return self._frustum.moved(pose.position, pose.quaternion)
 
     def _receive_tiles(self, time: float) -> list[FetchResult[TileArrival]]:
         """Take the tiles that arrived over the network; report the tiles that failed."""

@@ -1,4 +1,4 @@
-"""The result of a streaming session in one frame: arrivals, evictions, and tiles to draw.
+"""The options of a streaming session, and its result in one frame: tiles that come, go, are drawn.
 
 The session decides, the renderer obeys. Each frame, in this order:
 
@@ -15,15 +15,66 @@ it has its slots from the first part on, and is resident with the last. Keys are
 tiles in depth-first order and never change; a tile that was evicted may arrive again.
 """
 
-__all__ = ["DrawnTile", "SessionFrame", "TileArrival"]
+__all__ = ["RUNS_PER_SECOND", "DrawnTile", "SessionFrame", "SessionOptions", "TileArrival"]
 
 from dataclasses import dataclass, field, replace
-from typing import final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from gsgen.runtime.scene.splat_pool import pool_row_bytes
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS, pool_row_bytes
+from gsgen.tiles.streaming.drawing import FADE_SECONDS
+from gsgen.tiles.streaming.fetch import RETRY_AFTER
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.confined.models import ConfinedModels
+
+UPLOAD_BUDGET: Final = 4 << 20
+RUNS_PER_SECOND: Final = 25.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionOptions:
+    """The options of a streaming session.
+
+    Attributes:
+        max_error: Screen-space error above which tiles are refined, in pixels.
+        max_splats: Rows of the pool, in whole slots.
+        slot_rows: Rows of a slot.
+        upload_budget: Bytes of arrivals in a frame.
+        fade_seconds: Of a cross-fade; 0 for pictures that do not depend on time.
+        connections: Requests at once.
+        predictor: A name or a file, see :func:`predictor_maker`.
+        cache_bytes: Cap of the disk cache; 0 for none.
+        cache_folder: Of the disk cache; the user's where absent.
+        allow_origins: Other origins that redirects may lead to.
+        log: File of events as JSON lines; None for none.
+        neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
+        provider: Execution provider of ONNX Runtime for these generators.
+        confined: Runs models in child processes with limits; None runs them in this process.
+        runs_per_second: Most runs of all generators in a second; infinite to wait for each run.
+        retry_seconds: Until a tile that a server did not give is requested again, at first.
+    """
+
+    max_error: float = 16.0
+    max_splats: int = 2_000_000
+    slot_rows: int = SLOT_ROWS
+    upload_budget: int = UPLOAD_BUDGET
+    fade_seconds: float = FADE_SECONDS
+    connections: int = 6
+    predictor: str = "constant-velocity"
+    cache_bytes: int = 2 << 30
+    cache_folder: Path | None = None
+    allow_origins: tuple[str, ...] = ()
+    log: Path | None = None
+    neural_sessions: int = 4
+    provider: str = "cpu"
+    confined: "ConfinedModels | None" = None
+    runs_per_second: float = RUNS_PER_SECOND
+    retry_seconds: float = RETRY_AFTER
 
 
 @final

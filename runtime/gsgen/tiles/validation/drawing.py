@@ -18,12 +18,16 @@ from jaxtyping import Float32, Float64
 from gsgen.formats.shared.splats import Splats
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.scene import Scene
-from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.format.tileset import Content, Tile, Tileset
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.loading.leaves import read_contents
-from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_TILE_SHARE, cameras_around, level_cut
+from gsgen.tiles.scoring.score import (
+    FIELD_OF_VIEW,
+    NEAR_TILE_SHARE,
+    cameras_around,
+    draw,
+    level_cut,
+)
 from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.store import Store
 
@@ -159,7 +163,7 @@ class _TileRenderer:
         if self._is_too_large(TILE_VISIBLE_RULE, cut):
             return None
         parts = self._read(cut)
-        view = _View.looking_at_bounds(parts, self._scene_up_direction)
+        view = _View.looking_at_bounds(parts, self._tileset.up)
         pictures = self._pictures(
             join_placed(parts, view.center), view.cameras(_CAMERA_DISTANCE_RADII)
         )
@@ -179,9 +183,7 @@ class _TileRenderer:
             return None
         scale = float(np.cbrt(np.linalg.det(parent.transform[:3, :3])))
         view = _View.looking_at_bounds(
-            parent_parts + child_parts,
-            self._scene_up_direction,
-            error=parent.geometric_error * scale,
+            parent_parts + child_parts, self._tileset.up, error=parent.geometric_error * scale
         )
         pairs = zip(
             self._pictures(join_placed(parent_parts, view.center), view.cameras(view.distance)),
@@ -194,10 +196,6 @@ class _TileRenderer:
             pixels=view.pixels,
             ssim=float(np.mean([_picture_similarity(a, b) for a, b in pairs])),
         )
-
-    @property
-    def _scene_up_direction(self) -> Float64[np.ndarray, " 3"]:
-        return self._tileset.up
 
     def _is_too_large(self, rule: str, *level_cuts: list[tuple[Tile, Content]]) -> bool:
         """Return whether tiles have too many splats to draw; if so, note that a rule is skipped."""
@@ -213,13 +211,7 @@ class _TileRenderer:
         return read_contents(self._store, self._tileset, cut)
 
     def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RgbaImage]:
-        scene = Scene([SplatData.from_splats(splats)])
-        pictures = []
-        for camera in cameras:
-            frame = self._renderer.render(scene, camera)
-            assert frame.rgba is not None
-            pictures.append(np.clip(frame.rgba, 0, 1))
-        return pictures
+        return draw(self._renderer, splats, cameras, alpha=0.0)
 
 
 @final

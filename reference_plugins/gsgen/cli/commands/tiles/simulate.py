@@ -72,6 +72,14 @@ def simulate(
     connections: Annotated[
         int, typer.Option(help="How many requests may run at once.", min=1, max=64)
     ] = 1,
+    score: Annotated[
+        str,
+        typer.Option(
+            help="Seconds of the path at which the picture is compared, by SSIM, with that of all "
+            "tiles, such as 1,2,5.",
+            show_default=False,
+        ),
+    ] = "",
     plot: Annotated[
         Path | None, typer.Option(help="Draw loaded tiles and received bytes over time.")
     ] = None,
@@ -100,18 +108,29 @@ def simulate(
             raise ConfigInvalid(f"is {value}, expected above 0 and below {most:g}", where=name)
     if plot is not None:
         refuse_itself(plot, [Path(tileset), Path(predictor), path, network])
+    try:
+        moments = sorted({float(word) for word in score.split(",") if score})
+    except ValueError as error:
+        expected = "expected seconds such as 1,2,5"
+        raise ConfigInvalid(f"is {score!r:.60}, {expected}", where="--score") from error
     is_model = predictor not in PREDICTORS_BY_NAME
     models = [Path(predictor)] if is_model else []
     confined = confined_models((), models, Limits(seconds=FRAME_SECONDS))
     make_predictor = predictor_maker(predictor, confined)
     poses, trace = read_path(path), read_trace(network)
-    store, index = open_store(tileset)
-    with store:
-        loaded = load_tileset(store, index, name=tileset)
-        tree, ladder = TileTree.of_tileset(loaded, store), quality_ladder(loaded)
+    span = poses[-1].time - poses[0].time
+    if not all(0 <= seconds <= span for seconds in moments):
+        raise ConfigInvalid(
+            f"is {score!r:.60}, expected seconds from 0 to {span:g}, as long as the path is",
+            where="--score",
+        )
+    view = ViewSettings(width=width, height=height, fov_y=fov, max_error=sse)
     is_all = policy is PolicyName.ALL_POLICIES
     policies = [entry for entry in client.PREFETCH_POLICIES if is_all or entry == policy]
-    with confined or nullcontext():
+    store, index = open_store(tileset)
+    with store, confined or nullcontext():
+        loaded = load_tileset(store, index, name=tileset)
+        tree, ladder = TileTree.of_tileset(loaded, store), quality_ladder(loaded)
         simulations = [
             client.simulate(
                 tree,
@@ -120,12 +139,18 @@ def simulate(
                 ladder=ladder,
                 policy=entry,
                 predictor=make_predictor,
-                view=ViewSettings(width=width, height=height, fov_y=fov, max_error=sse),
+                view=view,
                 rtt=rtt / 1000,
                 connections=connections,
+                moments=moments,
             )
             for entry in policies
         ]
+        if moments:
+            from gsgen.tiles.simulate.pictures import TilePictures
+
+            pictures = TilePictures(store, loaded, ladder, view)
+            simulations = [pictures.score(entry) for entry in simulations]
     if plot is not None:
         write_plot(simulations, plot)
     if not as_json:
