@@ -20,20 +20,28 @@ from gsgen.contract.causes.picture_cameras import (
 from gsgen.contract.spec.geometry import look_at, rotation_matrix
 
 SIZE = (12, 8)
-FLIP = np.diag([1.0, -1.0, -1.0])
 MOTION = np.eye(4)
 MOTION[:3, :3] = rotation_matrix(np.array([[0.92, 0.2, -0.28, 0.19]]))[0]
 MOTION[:3, 3] = (0.4, -0.3, 0.5)
+# One of the three cameras moves.
+ALONE = [np.stack([MOTION if k == number else np.eye(4) for k in range(3)]) for number in range(3)]
 
 
-def placed(reading: str, view: np.ndarray, local: np.ndarray) -> np.ndarray:
+def placed(reading: str, views: np.ndarray, number: int, local: np.ndarray) -> np.ndarray:
     """Return where a model that makes a mistake places points of a picture's camera."""
-    rotation, t = view[:3, :3], view[:3, 3]
-    center = -rotation.T @ t
+    rotation, t = views[number, :3, :3], views[number, :3, 3]
+    centers = np.stack([-view[:3, :3].T @ view[:3, 3] for view in views])
+    center, away = centers[number], centers - centers.mean(axis=0)
+    distances, from_middle = (np.linalg.norm(points, axis=1) for points in (centers, away))
 
     def turned(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("ij,nj->ni", matrix, points))
 
+    ray = turned(rotation.T, local)
+    _, found, axes = reading.partition("other axes, ")
+    if found:
+        signs = [-1 if axis.startswith("−") else 1 for axis in axes.split()]
+        return np.asarray((ray + center)[:, ["xyz".index(a[-1]) for a in axes.split()]] * signs)
     return {
         "": turned(rotation.T, local - t),
         "the matrices were taken for camera-to-world": turned(rotation, local) + t,
@@ -46,9 +54,20 @@ def placed(reading: str, view: np.ndarray, local: np.ndarray) -> np.ndarray:
         "the rotation was left out": local + center,
         "the translation alone was subtracted": local - t,
         _STAYING: local,
-        "they are in a world whose y points up and whose z points back": turned(
-            FLIP @ rotation.T, local - t
-        ),
+        "the cameras' distances from the origin were divided by their mean": ray
+        + center / distances.mean(),
+        "the cameras' distances from the origin were divided by the largest": ray
+        + center / distances.max(),
+        "the cameras' distances from the origin were divided by that of the first": ray
+        + center / distances[0],
+        "each camera was moved to the distance 1 from the origin": ray + center / distances[number],
+        "the distance between the first two cameras was taken for 1": ray
+        + center / np.linalg.norm(centers[1] - centers[0]),
+        "the mean of the cameras' centres was taken for the origin": ray + away[number],
+        "the cameras' centres were divided by their mean distance from their middle": ray
+        + away[number] / from_middle.mean(),
+        "the cameras' centres were divided by their largest distance from their middle": ray
+        + away[number] / from_middle.max(),
     }[reading]
 
 
@@ -86,23 +105,29 @@ AXES = {name: entry[2] for name, entry in _LENSES.items() if len(entry) > 2}
 def posed(
     seed: int, motion: np.ndarray, lens: np.ndarray, cameras: str = "", lenses: str = ""
 ) -> PosedRows:
-    """Return the rows of two pictures as a model with mistakes in cameras and lenses places them."""
+    """Return the rows of three pictures as a model with mistakes in cameras and lenses places them."""
     random = np.random.default_rng(seed)
     width, height = SIZE
     y, x = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
     pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
-    views, rows = [], []
-    for eye in random.uniform((-4, -4, -10), (4, 4, -2), (2, 3)):
-        view = look_at(eye, random.uniform(-0.5, 0.5, 3), np.array([0.0, -1, 0])) @ np.linalg.inv(
-            motion
-        )
+    eyes, targets = (
+        random.uniform((-4, -4, -10), (4, 4, -2), (3, 3)),
+        random.uniform(-0.5, 0.5, (3, 3)),
+    )
+    eyes = eyes[
+        np.argsort(np.linalg.norm(eyes, axis=1))[[1, 0, 2]]
+    ]  # the first is not the farthest
+    views = np.stack(
+        [look_at(eye, at, np.array([0.0, -1, 0])) for eye, at in zip(eyes, targets, strict=True)]
+    ) @ np.linalg.inv(motion)
+    rows = []
+    for number in range(len(views)):
         rays = pixels @ np.linalg.inv(taken(lenses, lens)).T * AXES.get(lenses, (1, 1, 1))
         local = rays * random.uniform(1.5, 2.5, (len(rays), 1))
-        rows.append(placed(cameras, view, local))
-        views.append(view)
+        rows.append(placed(cameras, views, number, local))
     position = np.concatenate(rows).astype(np.float32).astype(np.float64)
     return PosedRows(
-        position=position, views=np.stack(views), lenses=np.stack([lens, lens]), size=SIZE
+        position=position, views=views, lenses=np.stack([lens] * len(views)), size=SIZE
     )
 
 
@@ -113,7 +138,8 @@ def test_each_reading_of_cameras_is_named(name: str, seed: int) -> None:
         posed(seed, motion, lens, cameras=name)
         for motion, lens in ((np.eye(4), LENS), (MOTION, LENS), (np.eye(4), OTHER_LENS))
     )
-    reading = reading_of_cameras(base, moved, (base, other))
+    alone = [(base, posed(seed, motions, LENS, cameras=name)) for motions in ALONE]
+    reading = reading_of_cameras(base, moved, (base, other), alone)
     assert is_equivariant(base, moved) == (name == "")
     assert (reading.name if reading else "") == name
     assert reading is None or reading.declared > 0.9
@@ -165,6 +191,8 @@ def test_a_far_row_hides_no_motion_of_near_ones() -> None:
 def test_rows_that_turn_and_are_moved_elsewhere_are_noticed() -> None:
     base, moved = (posed(1, motion, LENS) for motion in (np.eye(4), MOTION))
     assert not is_translated_otherwise(base, moved)
+    # Half of the first picture's rows are left out: pictures need not have as many rows.
+    base, moved = (replace(rows, position=rows.position[48:]) for rows in (base, moved))
     elsewhere = replace(moved, position=moved.position + np.array([0.3, 0, 0.2]))
     assert reading_of_cameras(base, elsewhere) is None
     assert is_translated_otherwise(base, elsewhere)
@@ -177,10 +205,24 @@ def test_rows_are_found_at_the_middles_of_their_own_pixels(seed: int) -> None:
     assert own is not None
     picture, place = own
     width, height = SIZE
-    np.testing.assert_array_equal(picture, np.repeat([0, 1], width * height))
-    number = np.tile(np.arange(width * height), 2)
+    np.testing.assert_array_equal(picture, np.repeat([0, 1, 2], width * height))
+    number = np.tile(np.arange(width * height), 3)
     expected = np.stack([number % width + 0.5, number // width + 0.5], axis=1)
     np.testing.assert_allclose(place, expected, atol=1e-3)
+
+
+def test_rows_in_the_first_cameras_space_are_told_from_a_template() -> None:
+    """They move when that camera moves alone."""
+    base, moved = (posed(1, motion, LENS) for motion in (np.eye(4), MOTION))
+    first = [
+        replace(rows, position=rows.position @ rows.views[0, :3, :3].T + rows.views[0, :3, 3])
+        for rows in (base, moved)
+    ]
+    assert reading_of_cameras(first[0], first[1]) is None
+    alone = replace(first[0], position=first[0].position @ MOTION[:3, :3])
+    reading = reading_of_cameras(first[0], first[1], alone=[(first[0], alone)])
+    assert reading is not None
+    assert reading.name == _STAYING
 
 
 def test_rows_behind_all_cameras_are_noticed_without_lenses() -> None:

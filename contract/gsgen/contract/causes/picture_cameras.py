@@ -4,8 +4,8 @@ A model that places Gaussians along the rays of its pictures keeps them at the s
 picture's camera when all cameras move together. In which reading of the matrices they stay is the
 reading of the model: as declared, the point is W p of the world→camera matrix W.
 
-1. Cameras: the rows of two runs that differ in one rigid motion of all cameras are undone in each
-   reading, each row by the picture that fits it best.
+1. Cameras: the rows of two runs that differ in one rigid motion of all cameras are brought into the
+   camera of each reading, each row by the picture that fits it best.
 2. Depth: where the rows stay as declared, they lie before the cameras, or behind all of them.
 3. Lenses: rows of two runs that differ in the lenses stay at the same pixel in the model's reading,
    and are spread over the picture.
@@ -21,8 +21,9 @@ __all__ = [
     "reading_of_lenses",
 ]
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,8 @@ from gsgen.contract.causes.readings import MAX_INVALID_SHARE, Explanation, share
 _MAX_RESIDUAL_RATIO = 2e-3
 # Fewer rows may fit a wrong reading by chance.
 _MIN_ROWS = 16
+# Where one camera moves and the others stay, so many rows move that lie in the space of one of them.
+_MIN_MOVING_SHARE = 0.1
 # Pixels of rows are inside the picture within this fraction of it, and are spread over it if most
 # of them take up so much of either side; in another unit, they take up a pixel or less.
 _PICTURE_SLACK, _MIN_SPREAD, _MAX_OTHER_SPREAD = 0.1, 0.5, 0.25
@@ -64,12 +67,15 @@ class PosedRows:
 
 def is_equivariant(base: PosedRows, moved: PosedRows) -> bool:
     """Return whether the rows move as the cameras do, as far as rows can be told from their motion."""
-    share = _moving_share(base, moved, _in_camera_space)
+    share = _moving_share(base, moved, _as_given)
     return len(base.position) >= _MIN_ROWS and share <= MAX_INVALID_SHARE
 
 
 def reading_of_cameras(
-    base: PosedRows, moved: PosedRows, lenses: tuple[PosedRows, PosedRows] | None = None
+    base: PosedRows,
+    moved: PosedRows,
+    lenses: tuple[PosedRows, PosedRows] | None = None,
+    alone: Sequence[tuple[PosedRows, PosedRows]] = (),
 ) -> Explanation | None:
     """Return the reading in which the rows stay before their cameras; None if as declared, or none.
 
@@ -77,21 +83,35 @@ def reading_of_cameras(
         base: The rows of one run.
         moved: The same rows of a run whose cameras are moved by one rigid motion.
         lenses: Rows of two runs that differ in the lenses alone.
+        alone: Rows of pairs of runs that differ in one camera alone.
     """
     count = len(base.position)
     if count < _MIN_ROWS or is_equivariant(base, moved):
         return None
-    for name, (undo, hint) in _READINGS.items():
-        share = _moving_share(base, moved, undo)
-        # The rows of a template stay, too: those of a camera's space also stay at their pixels.
-        if name == _STAYING and not (lenses and _are_at_pixels_of_one_camera(*lenses)):
-            continue
-        if share <= MAX_INVALID_SHARE:
-            declared = _moving_share(base, moved, _in_camera_space)
-            return Explanation(
-                kind="space", name=name, declared=declared, fraction=share, rows=count, hint=hint
-            )
-    return None
+    shares = {name: _moving_share(base, moved, read) for name, (read, _) in _READINGS.items()}
+    names = [name for name, share in shares.items() if share <= MAX_INVALID_SHARE]
+    # Several readings keep rows under a motion of all cameras: the model's also does under others.
+    by_alone = {
+        name: float(np.mean([_moving_share(*pair, _READINGS[name][0]) for pair in alone] or [0.0]))
+        for name in names
+    }
+    name = min(names, key=by_alone.__getitem__, default=None)
+    # The rows of a template stay, too. Those of a camera's space also stay at their pixels, and those
+    # in the space of one of several cameras move when it does not move with the others.
+    if name is None or (
+        name == _STAYING
+        and by_alone[name] < _MIN_MOVING_SHARE
+        and not (lenses and _are_at_pixels_of_one_camera(*lenses))
+    ):
+        return None
+    return Explanation(
+        kind="space",
+        name=name,
+        declared=_moving_share(base, moved, _as_given),
+        fraction=shares[name],
+        rows=count,
+        hint=_READINGS[name][1],
+    )
 
 
 def reading_behind_cameras(base: PosedRows) -> Explanation | None:
@@ -112,22 +132,22 @@ def reading_behind_cameras(base: PosedRows) -> Explanation | None:
 
 
 def is_translated_otherwise(base: PosedRows, moved: PosedRows) -> bool:
-    """Return whether the rows of each picture turn as the cameras do, and are moved elsewhere.
-
-    The rows of a picture are taken to follow each other, as many for each picture.
-    """
-    count = len(base.views)
-    if len(base.position) < count * _MIN_ROWS or len(base.position) % count:
-        return False
+    """Return whether the rows of each picture turn as the cameras do, and are moved elsewhere."""
     # x' = M x: the matrices of a picture before and after the motion differ by it.
     motion = np.linalg.inv(moved.views[0]) @ base.views[0]
-    rest = (moved.position - base.position @ motion[:3, :3].T).reshape(count, -1, 3)
-    offset = np.median(rest, axis=1, keepdims=True)
-    spread = float(np.linalg.norm(np.ptp(base.position, axis=0)))
-    limit = _MAX_RESIDUAL_RATIO * spread
-    is_loose = np.linalg.norm(rest - offset, axis=2) > limit
-    is_elsewhere = np.linalg.norm(offset - motion[:3, 3], axis=2).max() > limit
-    return share_of(is_loose.reshape(-1)) <= MAX_INVALID_SHARE and bool(is_elsewhere)
+    offsets = moved.position - base.position @ motion[:3, :3].T
+    limit = _MAX_RESIDUAL_RATIO * float(np.linalg.norm(np.ptp(base.position, axis=0)))
+    rest, is_elsewhere = offsets, False
+    for _ in base.views:
+        if len(rest) < _MIN_ROWS:
+            break
+        # The rows of one picture share an offset; those of the others remain.
+        is_near = np.linalg.norm(rest - rest[0], axis=1) <= limit
+        if np.count_nonzero(is_near) < _MIN_ROWS:
+            return False
+        is_elsewhere |= bool(np.linalg.norm(rest[0] - motion[:3, 3]) > 2 * limit)
+        rest = rest[~is_near]
+    return is_elsewhere and len(rest) <= MAX_INVALID_SHARE * len(offsets)
 
 
 def reading_of_lenses(base: PosedRows, other: PosedRows) -> Explanation | None:
@@ -182,11 +202,12 @@ def _has_other_lenses(base: PosedRows, other: PosedRows) -> bool:
     return not np.array_equal(base.lenses, other.lenses)
 
 
-def _moving_share(base: PosedRows, moved: PosedRows, undo: "_Undo") -> float:
+def _moving_share(base: PosedRows, moved: PosedRows, read: "_ReadViews") -> float:
     """Return the share of rows that move before every camera, in a reading of the matrices."""
     is_moving = np.ones(len(base.position), bool)
-    for view, moved_view in zip(base.views, moved.views, strict=True):
-        before, after = undo(view, base.position), undo(moved_view, moved.position)
+    for view, moved_view in zip(read(base.views), read(moved.views), strict=True):
+        before = _in_camera_space(view, base.position)
+        after = _in_camera_space(moved_view, moved.position)
         spread = float(np.linalg.norm(np.ptp(before, axis=0)))
         # A far row, as of the sky, makes the spread large: near rows are held to their distance.
         limit = _MAX_RESIDUAL_RATIO * np.minimum(spread, np.linalg.norm(before, axis=1))
@@ -238,7 +259,8 @@ def _pixel_motion(
     return share, float((high - low).min())
 
 
-_Undo = Callable[[Float[np.ndarray, "4 4"], Points], Points]
+Views = Float[np.ndarray, "v 4 4"]
+_ReadViews = Callable[[Views], Views]
 _ReadLens = Callable[[Float[np.ndarray, "3 3"], tuple[int, int]], Float[np.ndarray, "3 3"]]
 
 
@@ -246,61 +268,142 @@ def _in_camera_space(view: Float[np.ndarray, "4 4"], points: Points) -> Points:
     return np.asarray(points @ view[:3, :3].T + view[:3, 3])
 
 
-def _center(view: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 3"]:
-    return np.asarray(-view[:3, :3].T @ view[:3, 3])
+def _as_given(views: Views) -> Views:
+    return views
+
+
+def _with_parts(
+    parts: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> _ReadViews:
+    """Return a reading that makes matrices of the rotations R and translations t of all cameras."""
+
+    def read(views: Views) -> Views:
+        matrices = np.zeros_like(views)
+        matrices[:, :3, :3], translations = parts(views[:, :3, :3], views[:, :3, 3:])
+        matrices[:, :3, 3:], matrices[:, 3, 3] = translations, 1
+        return matrices
+
+    return read
+
+
+def _with_centers(move: Callable[[np.ndarray], np.ndarray]) -> _ReadViews:
+    """Return a reading that changes the centres of all cameras, [v, 3, 1], and keeps rotations."""
+    return _with_parts(lambda r, t: (r, -r @ move(-r.swapaxes(1, 2) @ t)))
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    return np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+
+
+def _without_mean(centers: np.ndarray) -> np.ndarray:
+    return np.asarray(centers - centers.mean(axis=0))
+
+
+def _name_of_axes(axes: tuple[int, ...], signs: tuple[int, ...]) -> str:
+    return " ".join(
+        f"{'−' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(axes, signs, strict=True)
+    )
+
+
+def _with_axes(axes: tuple[int, ...], signs: tuple[int, ...]) -> _ReadViews:
+    """Return a reading whose world has the declared coordinates of these numbers and signs."""
+    world = np.zeros((4, 4))
+    world[(*axes, 3), range(4)] = (*signs, 1)
+    return lambda views: views @ world
 
 
 _STAYING: Final = "they stay in the space of a picture's camera"
-# The reading of the matrices → the points of rows in the space of the camera that the model takes,
-# and the repair of the model. R and t are rotation and translation of the world→camera matrix.
-_READINGS: Final[dict[str, tuple[_Undo, str]]] = {
+_POINT: Final = "a point c of the camera at Rᵀ (c − t)"
+_NORMALISED: Final = (
+    "Undo the scale and the origin that cameras were given, for the Gaussians' centres and sizes, "
+    f"too: place {_POINT}."
+)
+# The reading of the matrices → the matrices that the model takes, and the repair of the model. R and
+# t are rotation and translation of the world→camera matrix.
+_READINGS: Final[dict[str, tuple[_ReadViews, str]]] = {
     "the matrices were taken for camera-to-world": (
-        lambda view, points: (points - view[:3, 3]) @ view[:3, :3],
-        "The matrices are world-to-camera: place a point c of the camera at Rᵀ (c − t), or invert "
-        "the matrices first.",
+        np.linalg.inv,
+        f"The matrices are world-to-camera: place {_POINT}, or invert the matrices first.",
     ),
     "the matrices were read transposed, in the other memory order": (
-        lambda view, points: points @ view[:3, :3],
+        _with_parts(lambda r, t: (r.swapaxes(1, 2), 0 * t)),
         "Declare the order that the model reads as space.matrix_order, or transpose the matrices "
         "inside the model.",
     ),
     "the translation has the other sign": (
-        lambda view, points: points @ view[:3, :3].T - view[:3, 3],
-        "Place a point c of the camera at Rᵀ (c − t), not at Rᵀ (c + t).",
+        _with_parts(lambda r, t: (r, -t)),
+        f"Place {_POINT}, not at Rᵀ (c + t).",
     ),
     "the translation was taken for the camera's centre": (
-        lambda view, points: (points - view[:3, 3]) @ view[:3, :3].T,
-        "The camera's centre is −Rᵀ t: place a point c of the camera at Rᵀ (c − t).",
+        _with_parts(lambda r, t: (r, -r @ t)),
+        f"The camera's centre is −Rᵀ t: place {_POINT}.",
     ),
     "the translation was left out": (
-        lambda view, points: points @ view[:3, :3].T,
-        "Place a point c of the camera at Rᵀ (c − t), not at Rᵀ c.",
+        _with_parts(lambda r, t: (r, 0 * t)),
+        f"Place {_POINT}, not at Rᵀ c.",
     ),
     "the rotation was inverted": (
-        lambda view, points: points @ view[:3, :3] + view[:3, 3],
-        "Place a point c of the camera at Rᵀ (c − t), not at R (c − t).",
+        _with_parts(lambda r, t: (r.swapaxes(1, 2), t)),
+        f"Place {_POINT}, not at R (c − t).",
     ),
     "the rotation was inverted about the camera's centre": (
-        lambda view, points: (points - _center(view)) @ view[:3, :3],
+        _with_parts(lambda r, t: (r.swapaxes(1, 2), (r @ r).swapaxes(1, 2) @ t)),
         "Turn rays by Rᵀ, and not by R, before the camera's centre −Rᵀ t is added.",
     ),
     "the rotation was left out": (
-        lambda view, points: points - _center(view),
+        _with_parts(lambda r, t: (0 * r + np.eye(3), r.swapaxes(1, 2) @ t)),
         "Turn rays by Rᵀ before the camera's centre −Rᵀ t is added.",
     ),
     "the translation alone was subtracted": (
-        lambda view, points: points + view[:3, 3],
-        "Place a point c of the camera at Rᵀ (c − t), not at c − t.",
+        _with_parts(lambda r, t: (0 * r + np.eye(3), t)),
+        f"Place {_POINT}, not at c − t.",
     ),
     _STAYING: (
-        lambda _, points: points,
-        "Place a point c of the camera at Rᵀ (c − t), also where a network takes the first camera "
-        "as its world.",
+        lambda views: np.broadcast_to(np.eye(4), views.shape),
+        f"Place {_POINT}, also where a network takes the first camera as its world.",
     ),
-    "they are in a world whose y points up and whose z points back": (
-        lambda view, points: _in_camera_space(view, points * [1, -1, -1]),
-        "Multiply y and z of the centres by −1: local space is that of the matrices.",
+    "the cameras' distances from the origin were divided by their mean": (
+        _with_parts(lambda r, t: (r, t / _lengths(t).mean())),
+        _NORMALISED,
     ),
+    "the cameras' distances from the origin were divided by the largest": (
+        _with_parts(lambda r, t: (r, t / _lengths(t).max())),
+        _NORMALISED,
+    ),
+    "each camera was moved to the distance 1 from the origin": (
+        _with_parts(lambda r, t: (r, t / _lengths(t))),
+        _NORMALISED,
+    ),
+    "the cameras' distances from the origin were divided by that of the first": (
+        _with_parts(lambda r, t: (r, t / _lengths(t)[0])),
+        _NORMALISED,
+    ),
+    "the distance between the first two cameras was taken for 1": (
+        _with_centers(lambda c: c / _lengths(c[1:2] - c[:1]) if len(c) > 1 else c),
+        _NORMALISED,
+    ),
+    "the mean of the cameras' centres was taken for the origin": (
+        _with_centers(_without_mean),
+        _NORMALISED,
+    ),
+    "the cameras' centres were divided by their mean distance from their middle": (
+        _with_centers(lambda c: _without_mean(c) / _lengths(_without_mean(c)).mean()),
+        _NORMALISED,
+    ),
+    "the cameras' centres were divided by their largest distance from their middle": (
+        _with_centers(lambda c: _without_mean(c) / _lengths(_without_mean(c)).max()),
+        _NORMALISED,
+    ),
+    **{
+        f"they are in a world of other axes, {_name_of_axes(axes, signs)}": (
+            _with_axes(axes, signs),
+            "Bring the centres into the axes of the matrices, which are those of local space: "
+            "change the axes of rows and covariances back.",
+        )
+        for axes in permutations(range(3))
+        for signs in product((1, -1), repeat=3)
+        if (axes, signs) not in (((0, 1, 2), (1, 1, 1)), ((0, 1, 2), (-1, -1, -1)))
+    },
 }
 
 

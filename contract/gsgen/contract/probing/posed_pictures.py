@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsgen.contract._array_types import Int
+from gsgen.contract._array_types import Bool, Float, Int
 from gsgen.contract.causes.picture_cameras import PosedRows
 from gsgen.contract.probing.behaviour_probes import PICTURE_CAMERAS
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
@@ -15,6 +15,9 @@ from gsgen.contract.probing.probes import Probe, as_tensor
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
+
+# So many rows with the same outermost coordinate are held there by a clamp.
+_MIN_CLAMPED_ROWS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +63,7 @@ def read_picture_pair(behaviour: Behaviour, run: ProbeRun) -> PicturePair | None
     # As many pixels as rows: Gaussians without opacity were taken from some pixel, too.
     is_drawn = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
     is_drawn &= np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    is_drawn &= ~(_are_clamped(a, is_drawn) | _are_clamped(b, is_drawn))
     indices = np.flatnonzero(is_drawn[: first.count])
     if not len(indices):
         return None
@@ -68,6 +72,22 @@ def read_picture_pair(behaviour: Behaviour, run: ProbeRun) -> PicturePair | None
         for entry, rows in ((behaviour.base, a), (run, b))
     ]
     return PicturePair(run=run, indices=indices, outputs=first, base=posed[0], other=posed[1])
+
+
+def _are_clamped(
+    rows: Float[np.ndarray, "n 10"], is_drawn: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Return a mask of rows that a clamp of coordinates holds: they follow nothing.
+
+    Several of them share the largest or the smallest coordinate of an axis, to the last bit.
+    """
+    position = rows[:, POSITION]
+    if not is_drawn.any():
+        return ~is_drawn
+    ends = np.stack([position[is_drawn].min(axis=0), position[is_drawn].max(axis=0)])
+    is_at_end = (position == ends[:, None]) & is_drawn[:, None]
+    is_shared = np.count_nonzero(is_at_end, axis=1, keepdims=True) >= _MIN_CLAMPED_ROWS
+    return np.asarray((is_at_end & is_shared).any(axis=(0, 2)))
 
 
 def _posed_rows(

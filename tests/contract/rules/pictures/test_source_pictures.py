@@ -39,6 +39,29 @@ FAULTS: dict[str, tuple[dict[str, str], dict[str, np.ndarray], str, str]] = {
         "GB070",
         "stay in the space",
     ),
+    "in the space of the first camera": (
+        {"centers": "world = MatMul (offsets, rotations) "
+                    "turn = Gather <axis = 0> (turned, none) shift = Gather <axis = 0> (translations, none) "
+                    "ahead_of = MatMul (world, turn) centers = Add (ahead_of, shift)"},
+        {"none": i64(0)},
+        "GB070",
+        "stay in the space",
+    ),
+    "cameras at a mean distance of 1": (
+        {"centers": "lengths = ReduceL2 (translations, axis_2) mean = ReduceMean (lengths, none) "
+                    "some = Max (mean, least) nearer = Div (translations, some) "
+                    "around = Sub (local, nearer) centers = MatMul (around, rotations)"},
+        {"none": i64(0)},
+        "GB070",
+        "divided by their mean",
+    ),
+    "camera to world, and clamped": (
+        {"centers": "moved = MatMul (local, turned) free = Add (moved, translations) "
+                    "centers = Clip (free, low, high)"},
+        {"low": f32(-3).reshape(()), "high": f32(4.5).reshape(())},
+        "GB070",
+        "camera-to-world",
+    ),
     "linear": (
         {"colors": f"positive = Max (last, zero) powers = Pow (positive, gamma) {_COLORS.format('powers')}"},
         {"gamma": f32(2.2)},
@@ -82,6 +105,15 @@ def test_a_fault_of_pictures_and_cameras_is_noticed(name: str, tmp_path: Path) -
     first, *_ = findings(pixel_model(**nodes).with_weights(**weights), tmp_path)
     assert first[0] == rule
     assert words in first[1]
+
+
+def test_clamped_rows_are_not_asked_to_follow(tmp_path: Path) -> None:
+    """Rows at the ends of the bounds stay, whichever way the cameras are read."""
+    nodes = "free = MatMul (offsets, rotations) centers = Clip (free, low, high)"
+    model = pixel_model(centers=nodes).with_weights(
+        low=f32(-0.8).reshape(()), high=f32(0.8).reshape(())
+    )
+    assert not [entry for entry in findings(model, tmp_path) if entry[0] in ("GB070", "GB071")]
 
 
 def test_a_template_that_samples_pictures_by_their_cameras_passes(tmp_path: Path) -> None:

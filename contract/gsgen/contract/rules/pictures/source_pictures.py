@@ -43,7 +43,7 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
         reading_of_cameras,
         reading_of_lenses,
     )
-    from gsgen.contract.probing.behaviour_probes import MOVED_TOGETHER, OTHER_LENSES
+    from gsgen.contract.probing.behaviour_probes import MOVED_ALONE, MOVED_TOGETHER, OTHER_LENSES
     from gsgen.contract.probing.posed_pictures import picture_pairs
 
     pairs = {pair.run.probe.label: pair for pair in picture_pairs(behaviour)}
@@ -51,7 +51,8 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
     if moved is None:
         return
     lens = next((pair for words, pair in pairs.items() if words.endswith(OTHER_LENSES)), moved)
-    reading = reading_of_cameras(moved.base, moved.other, (lens.base, lens.other))
+    alone = [(pair.base, pair.other) for words, pair in pairs.items() if MOVED_ALONE in words]
+    reading = reading_of_cameras(moved.base, moved.other, (lens.base, lens.other), alone)
     if is_equivariant(moved.base, moved.other):
         reading = reading_of_lenses(lens.base, lens.other)
         reading = reading or reading_behind_cameras(moved.base)
@@ -62,8 +63,11 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
         yield Violation.at(where, actual, expected, hint=reading.hint)
     elif is_translated_otherwise(moved.base, moved.other):
         actual = "the Gaussians of each picture turn with its camera, and are moved elsewhere"
-        hint = "Place a point c of the camera at Rᵀ (c − t); check the sign of the translation."
-        yield Violation.at(where, actual, expected, certainty="possible", hint=hint)
+        hint = (
+            "Place a point c of the camera at Rᵀ (c − t); check the sign of the translation, and undo "
+            "any scale or origin that cameras were given for the network."
+        )
+        yield Violation.at(where, actual, expected, hint=hint)
 
 
 @rule("GB071", Severity.WARNING, needs=(*REPRODUCIBLE, *COLORED_ROW_RULES, "GI033", "GB070"))
