@@ -252,7 +252,7 @@ MISTAKES = (
     Mistake("feed-forward", "colours of a tanh", "GV012", "(x + 1) / 2"),
     Mistake("feed-forward", "the batch axis", "GO003", "Drop the batch axis"),
     Mistake("feed-forward", "a count of int64", "GO011", "Cast the count to int32"),
-    Mistake("avatar", "covariances at rest", "GB035", "R Σ Rᵀ"),
+    Mistake("avatar", "covariances at rest", "GB068", "R Σ Rᵀ"),
     Mistake("avatar", "the norm of zero", "GI009", "Guard the division or the norm"),
     Mistake("avatar", "centimetres", "GB041", "in the unit of the positions"),
     Mistake("avatar", "degrees", "GI018", "Divide degrees by 180"),

@@ -42,7 +42,7 @@ def placed(reading: str, views: np.ndarray, number: int, local: np.ndarray) -> n
     if found:
         signs = [-1 if axis.startswith("−") else 1 for axis in axes.split()]
         return np.asarray((ray + center)[:, ["xyz".index(a[-1]) for a in axes.split()]] * signs)
-    return {
+    positions: dict[str, np.ndarray] = {
         "": turned(rotation.T, local - t),
         "the matrices were taken for camera-to-world": turned(rotation, local) + t,
         "the matrices were read transposed, in the other memory order": turned(rotation, local),
@@ -68,7 +68,8 @@ def placed(reading: str, views: np.ndarray, number: int, local: np.ndarray) -> n
         + away[number] / from_middle.mean(),
         "the cameras' centres were divided by their largest distance from their middle": ray
         + away[number] / from_middle.max(),
-    }[reading]
+    }
+    return positions[reading]
 
 
 def lens_of(focal: tuple[float, float], middle: tuple[float, float]) -> np.ndarray:

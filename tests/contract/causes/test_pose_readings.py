@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gsgen.contract.causes.pose_readings import angles_of, explain_turns, rigid_motion
+from gsgen.contract.causes.pose_readings import (
+    affine_motion,
+    angles_of,
+    covariance_errors,
+    explain_turns,
+    rigid_motion,
+)
 
 READINGS = {
     "radians were taken for degrees": lambda v: Rotation.from_rotvec(v, degrees=True),
@@ -12,6 +18,11 @@ READINGS = {
     "rotations were inverted": lambda v: Rotation.from_rotvec(v).inv(),
     "angles were halved": lambda v: Rotation.from_rotvec(v / 2),
     "angles were doubled": lambda v: Rotation.from_rotvec(2 * v),
+    "the numbers were Euler angles, R = Rz Ry Rx": lambda v: Rotation.from_euler("xyz", v),
+    "the numbers were Euler angles, R = Rx Ry Rz": lambda v: Rotation.from_euler("XYZ", v),
+    "the numbers were Euler angles, R = Ry Rx Rz": lambda v: Rotation.from_euler(
+        "zxy", v[[2, 0, 1]]
+    ),
     "axes were read as x −y −z": lambda v: Rotation.from_rotvec(v * [1, -1, -1]),
     "axes were read as z x y": lambda v: Rotation.from_rotvec(v[[2, 0, 1]]),
 }
@@ -78,3 +89,28 @@ def test_angles_and_motions_of_random_points(angle: float) -> None:
     fitted, moved = rigid_motion(points, points @ rotation.T + offset)
     np.testing.assert_allclose(fitted, rotation, atol=1e-12)
     np.testing.assert_allclose(moved, offset, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_matrix_of_small_angles_is_named(seed: int) -> None:
+    rest = np.random.default_rng(seed).standard_normal((12, 3))
+    turns = [(v, affine_motion(rest, rest + np.cross(v, rest))[0]) for v in rotation_vectors(seed)]
+    explanation = explain_turns(turns)
+    assert explanation is not None
+    assert "small angles" in explanation[0].name
+
+
+@pytest.mark.parametrize("follows", [0, 1, 2], ids=["turned", "still", "backwards"])
+def test_covariances_are_compared_with_each_way_to_turn(follows: int) -> None:
+    rng = np.random.default_rng(3)
+    rotation, upper = Rotation.random(random_state=3).as_matrix(), np.triu_indices(3)
+    factors = rng.standard_normal((40, 3, 3))
+    before = factors @ factors.transpose(0, 2, 1)
+    turn = (rotation, np.eye(3), rotation.T)[follows]
+    after = np.einsum("ij,njk,lk->nil", turn, before, turn)
+    ball = np.eye(3)[None]  # has no direction, and is left out
+    packed = [np.concatenate([part, ball])[:, *upper] for part in (before, after)]
+    errors = covariance_errors(rotation, *packed)
+    assert errors.shape == (3, 40)
+    assert errors[follows].max() < 1e-12
+    assert np.delete(errors, follows, axis=0).min() > 0.05

@@ -292,7 +292,8 @@ def _with_centers(move: Callable[[np.ndarray], np.ndarray]) -> _ReadViews:
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    return np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(np.maximum(lengths, np.finfo(np.float32).tiny))
 
 
 def _without_mean(centers: np.ndarray) -> np.ndarray:

@@ -1,6 +1,14 @@
 """Readings of a joint's numbers as a rotation, right and wrong ones, and which explains a motion."""
 
-__all__ = ["Reading", "angles_of", "declared_rotation", "explain_turns", "rigid_motion"]
+__all__ = [
+    "Reading",
+    "affine_motion",
+    "angles_of",
+    "covariance_errors",
+    "declared_rotation",
+    "explain_turns",
+    "rigid_motion",
+]
 
 from collections.abc import Callable, Sequence
 from itertools import permutations, product
@@ -9,10 +17,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gsgen.contract._array_types import Float
-from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.geometry import rotation_matrix, symmetric
 
-# A joint turns as read within this share of the angle that the reading gives.
+# A joint turns as read if the matrix differs from that of the reading by at most this share of the
+# latter's difference from the identity. Euler angles of 0.8 radians differ by 0.17 and more.
 _MAX_ANGLE_ERROR = 0.05
+# A covariance is compared if it should change by this share of its size.
+_MIN_COVARIANCE_CHANGE = 0.1
 # The smallest share of joints that turn as a wrong reading says, while at most the second turn as
 # declared: all and none in models that break the rules, none and all in right ones.
 _MIN_EXPLAINED_SHARE, _MAX_DECLARED_SHARE = 0.8, 0.1
@@ -47,6 +58,20 @@ def _quaternion(values: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
 
 def _turned_axes(order: tuple[int, ...], signs: tuple[int, ...]) -> Matrix:
     return lambda vector: _axis_angle(vector[list(order)] * np.array(signs))
+
+
+def _about_axes(order: tuple[int, ...]) -> Matrix:
+    """Return the reading of Euler angles: the product of turns about the axes of local space."""
+
+    def matrix(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+        first, second, third = (_axis_angle(vector * np.eye(3)[axis]) for axis in order)
+        return np.asarray(first @ second @ third)
+
+    return matrix
+
+
+def _first_order(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    return np.eye(3) + np.cross(np.eye(3), vector)
 
 
 _RIGHT_MATRIX_OF_WIDTH: Final[dict[int, Matrix]] = {3: _axis_angle, 4: _quaternion}
@@ -90,6 +115,20 @@ _WRONG_READINGS_OF_WIDTH: Final[dict[int, dict[Reading, Matrix]]] = {
             is_certain=True,
             hint="Use sin(θ/2) and cos(θ/2) in a quaternion, sin θ and cos θ in Rodrigues' formula.",
         ): lambda v: _axis_angle(v * 2),
+        Reading(
+            "the matrix were I + [v]×, which holds for small angles",
+            is_certain=True,
+            hint="Use Rodrigues' formula, I + sin θ / θ [v]× + (1 − cos θ) / θ² [v]×².",
+        ): _first_order,
+        **{
+            Reading(
+                f"the numbers were Euler angles, R = {' '.join('R' + 'xyz'[axis] for axis in order)}",
+                is_certain=True,
+                hint="Compute one matrix of the rotation vector by Rodrigues' formula: its length is "
+                "the angle, its direction the axis.",
+            ): _about_axes(order)
+            for order in permutations(range(3))
+        },
         **_AXES,
     },
     4: {
@@ -131,7 +170,7 @@ def explain_turns(
     """Return the wrong reading that fits nearly all turns, and its share; None if none does.
 
     Args:
-        turns: The three or four numbers that each joint was given, and the rotation that was seen.
+        turns: The three or four numbers that each joint was given, and the matrix that was seen.
     """
     widths = {len(values) for values, _ in turns}
     if len(widths) != 1 or not widths <= _RIGHT_MATRIX_OF_WIDTH.keys():
@@ -156,10 +195,11 @@ def _share_that_fits(
     expected = np.stack([matrix(values.astype(np.float64)) @ at_rest.T for values, _ in turns])
     seen = np.stack([rotation for _, rotation in turns])
     differences = [
-        angles_of(seen @ (frame @ expected @ frame.T).transpose(0, 2, 1))
+        np.linalg.norm(seen - frame @ expected @ frame.T, axis=(1, 2))
         for frame in (np.eye(3), at_rest)
     ]
-    return float(np.mean(np.min(differences, axis=0) <= _MAX_ANGLE_ERROR * angles_of(expected)))
+    limits = _MAX_ANGLE_ERROR * np.linalg.norm(expected - np.eye(3), axis=(1, 2))
+    return float(np.mean(np.min(differences, axis=0) <= limits))
 
 
 def declared_rotation(values: Float[np.ndarray, " w"]) -> Float[np.ndarray, "3 3"]:
@@ -176,3 +216,29 @@ def rigid_motion(
     left[:, 2] *= np.sign(np.linalg.det(left @ right)) or 1.0
     rotation = left @ right
     return rotation, centers[1] - rotation @ centers[0]
+
+
+def affine_motion(
+    rest: Float[np.ndarray, "n 3"], moved: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Return matrix and translation of the affine motion between points, by least squares."""
+    columns = np.column_stack([rest, np.ones(len(rest))])
+    solution = np.linalg.lstsq(columns, moved, rcond=None)[0]
+    return solution[:3].T, solution[3]
+
+
+def covariance_errors(
+    rotation: Float[np.ndarray, "3 3"],
+    before: Float[np.ndarray, "n 6"],
+    after: Float[np.ndarray, "n 6"],
+) -> Float[np.ndarray, "3 k"]:
+    """Return how far covariances are from R Σ Rᵀ, from Σ, and from Rᵀ Σ R, where these differ.
+
+    The unit is the change that R Σ Rᵀ makes: 0 where they follow, 1 where they stay.
+    """
+    first, last = symmetric(before), symmetric(after)
+    turned = rotation @ first @ rotation.T
+    change = np.linalg.norm(turned - first, axis=(1, 2))
+    counts = change > _MIN_COVARIANCE_CHANGE * np.linalg.norm(first, axis=(1, 2))
+    expected = np.stack([turned, first, rotation.T @ first @ rotation])[:, counts]
+    return np.asarray(np.linalg.norm(last[counts] - expected, axis=(2, 3)) / change[counts])

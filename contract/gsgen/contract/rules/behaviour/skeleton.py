@@ -13,7 +13,7 @@ from gsgen.contract.probing.behaviour_probes import (
     joints_of_label,
 )
 from gsgen.contract.probing.run_comparison import Behaviour
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -32,6 +32,9 @@ _FIT_ROUNDS = 8
 # The fitted angle differs from that of the joint by at most this share: rows that hang on several
 # joints turn by less.
 _MAX_ANGLE_ERROR = 0.05
+# Covariances follow if they are within the first share of the change that they should make: at most
+# the second share of all does in models that forget them, of which the third shows one mistake.
+_MAX_COVARIANCE_ERROR, _MAX_FOLLOWING_SHARE, _MIN_EXPLAINED_SHARE = 0.3, 0.1, 0.8
 # A joint moves by at most this share of the body's size when it alone turns: 0.000 for right
 # skeletons, 0.01 where the rest pose sways with the time, 0.35 and 0.70 for joints that are
 # exchanged or relative to their parents.
@@ -46,6 +49,8 @@ _MIN_MOTION = 1e-3
 # that it moves than the second: 1.00 for right skeletons, 0.00 for parents of another limb, and up
 # to 0.3 of all rows for a grandparent, as neighbouring joints share rows.
 _MIN_FOLLOWING_SHARE, _MIN_FOLLOWING_SHARE_OF_ALL = 0.5, 0.1
+# Rows that a parent carries turn by less, in radians, if it does not turn them; in degrees, 0.014.
+_MAX_CARRIED_ANGLE = 0.005
 # Two turns in the wrong order give another rotation, 0.6 radians from the right one; a fitted one
 # is that within this angle.
 _MAX_CHAIN_ERROR = 0.05
@@ -59,9 +64,19 @@ class _Turn(NamedTuple):
 
     joints: tuple[int, ...]
     values: Float[np.ndarray, "j w"]
-    rest: Float[np.ndarray, "n 3"]
-    turned: Float[np.ndarray, "n 3"]
+    rows_at_rest: Float[np.ndarray, "n 10"]
+    turned_rows: Float[np.ndarray, "n 10"]
     size: float
+
+    @property
+    def rest(self) -> Float[np.ndarray, "n 3"]:
+        """The centres at rest."""
+        return self.rows_at_rest[:, POSITION]
+
+    @property
+    def turned(self) -> Float[np.ndarray, "n 3"]:
+        """The centres after the turn."""
+        return self.turned_rows[:, POSITION]
 
     @property
     def moved(self) -> Bool[np.ndarray, " n"]:
@@ -69,19 +84,26 @@ class _Turn(NamedTuple):
         distance = np.linalg.norm(self.turned - self.rest, axis=1)
         return np.asarray(distance > _MIN_MOTION * self.size)
 
-    def motion(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], np.ndarray] | None:
+    def motion(
+        self, *, rigid: bool = True, among: Bool[np.ndarray, " n"] | None = None
+    ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], np.ndarray] | None:
         """Fit a rigid motion to the rows that hang on the joint alone; return it and those rows.
 
         None if too few rows turn rigidly.
-        """
-        from gsgen.contract.causes.pose_readings import rigid_motion
 
+        Args:
+            rigid: Whether the matrix is a rotation; any matrix otherwise.
+            among: The mask of the rows that are fitted; by default all.
+        """
+        from gsgen.contract.causes.pose_readings import affine_motion, rigid_motion
+
+        fit = rigid_motion if rigid else affine_motion
         distance = np.linalg.norm(self.turned - self.rest, axis=1)
-        fitted = self.moved & np.isfinite(distance)
+        fitted = self.moved & np.isfinite(distance) & (True if among is None else among)
         for _ in range(_FIT_ROUNDS):
             if np.count_nonzero(fitted) < _MIN_ROWS:
                 return None
-            rotation, offset = rigid_motion(self.rest[fitted], self.turned[fitted])
+            rotation, offset = fit(self.rest[fitted], self.turned[fitted])
             residual = np.linalg.norm(self.rest @ rotation.T + offset - self.turned, axis=1)
             limit = min(
                 _MAX_RESIDUAL * self.size, _MAX_RESIDUAL_OF_MOTION * np.median(distance[fitted])
@@ -107,15 +129,24 @@ def _turns(behaviour: Behaviour) -> list[_Turn]:
     if declared is None or entry is None or rest is None:
         return []
     drawn = (rest[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rest[:, POSITION]).all(axis=1)
-    positions = rest[drawn, POSITION].astype(np.float64)
+    rows_at_rest = rest[drawn].astype(np.float64)
+    positions = rows_at_rest[:, POSITION]
     size = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) >= _MIN_ROWS else 0.0
     turns = []
     for run in runs[1:]:
         rows, joints = run.outputs.get(declared.name), joints_of_label(run.probe.label)
         if rows is not None and rows.shape == rest.shape and size > 0 and joints:
             values = run.probe.inputs[entry.name][list(joints)].astype(np.float64)
-            turned = rows[drawn, POSITION].astype(np.float64)
-            turns.append(_Turn(joints, values, positions, turned, size))
+            turned_rows = rows[drawn].astype(np.float64)
+            turns.append(
+                _Turn(
+                    joints=joints,
+                    values=values,
+                    rows_at_rest=rows_at_rest,
+                    turned_rows=turned_rows,
+                    size=size,
+                )
+            )
     return turns
 
 
@@ -124,10 +155,12 @@ def _misread_turns(behaviour: Behaviour) -> "tuple[Input, Reading, str] | None":
     from gsgen.contract.causes.pose_readings import angles_of, explain_turns
 
     entry = _entry(behaviour)
+    # A wrong matrix may be no rotation: where no rows turn rigidly, any matrix is fitted.
     motions = [
         (turn.values[0], motion[0])
         for turn in _turns(behaviour)
-        if len(turn.joints) == 1 and (motion := turn.motion()) is not None
+        if len(turn.joints) == 1
+        and (motion := turn.motion() or turn.motion(rigid=False)) is not None
     ]
     explanation = explain_turns(motions) if entry is not None and motions else None
     if entry is None or explanation is None:
@@ -143,20 +176,55 @@ def _misread_turns(behaviour: Behaviour) -> "tuple[Input, Reading, str] | None":
 
 @rule("GB068", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI015", "GO016"))
 def joints_turn_as_given(behaviour: Behaviour) -> Iterator[Violation]:
-    """A joint that turns alone turns its rows by the angle, and in the direction, that it is given.
+    """A joint that turns alone turns its rows, covariances too, by the rotation that it is given.
 
     Why:
-        The same numbers are another rotation in degrees, inverted, or with the quaternion's w last.
-        Read so, joints hardly move, or bend the wrong way.
+        The same numbers are another rotation in degrees, as Euler angles, inverted, or with w last.
+        Read so, joints hardly move, or bend the wrong way. Covariances that stay, or turn the other
+        way, stand across the skin.
 
     Hint:
-        Feed radians; check the sign of rotations and the order of quaternions, w x y z.
+        Feed radians; check the sign of rotations and the order of quaternions, w x y z. Turn
+        covariances by R Σ Rᵀ.
     """
+    fault = _fault_of_covariances(behaviour)
+    if fault is not None:
+        entry, actual = fault
+        hint = (
+            "Turn each covariance by the linear part R of its row's skinning transform, R Σ Rᵀ; "
+            "Rᵀ Σ R turns it backwards."
+        )
+        yield Violation.at(f"input {entry.name}", actual, "R Σ Rᵀ of each row's Σ", hint=hint)
     misread = _misread_turns(behaviour)
     if misread is not None and misread[1].is_certain:
         entry, reading, actual = misread
         expected = "the rotation that the convention defines, right-handed and in radians"
         yield Violation.at(f"input {entry.name}", actual, expected, hint=reading.hint)
+
+
+def _fault_of_covariances(behaviour: Behaviour) -> tuple[Input, str] | None:
+    """Return the pose input, and what covariances do instead of turning with their rows."""
+    from gsgen.contract.causes.pose_readings import covariance_errors
+
+    entry = _entry(behaviour)
+    errors = [
+        covariance_errors(
+            motion[0],
+            turn.rows_at_rest[motion[2], COVARIANCE],
+            turn.turned_rows[motion[2], COVARIANCE],
+        )
+        for turn in _turns(behaviour)
+        if len(turn.joints) == 1 and (motion := turn.motion()) is not None
+    ]
+    count = sum(part.shape[1] for part in errors)
+    if entry is None or count < _MIN_ROWS:
+        return None
+    following, still, inverse = np.mean(np.hstack(errors) <= _MAX_COVARIANCE_ERROR, axis=1)
+    share, words = max((still, "stay as they were"), (inverse, "turn the other way"))
+    if following > _MAX_FOLLOWING_SHARE or share < _MIN_EXPLAINED_SHARE:
+        return None
+    actual = f"centres turn with their joints, {share:.0%} of {count} covariances {words}"
+    return entry, actual
 
 
 @rule("GB036", Severity.WARNING, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI015", "GO016", "GB068"))
@@ -287,11 +355,12 @@ def _factor_of_joints(
 
 @rule("GB061", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GI030", "GO016"))
 def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
-    """The rows that a joint moves also move when its declared parent turns, and turn after it.
+    """The rows that a joint moves also move and turn with its declared parent, after the joint.
 
     Why:
         A tool that retargets motion turns limbs relative to the parent that the manifest names.
-        With another parent, a raised arm leaves the hand behind.
+        With another parent, a raised arm leaves the hand behind; with global rotations, it stays
+        upright.
 
     Hint:
         Name as "parent" the joint that carries this one in the model's own skeleton; check that
@@ -322,12 +391,37 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
                 f"{100 * share:.0f} % of the rows of joint {name!r} move with its parent {parent!r}"
             )
             yield Violation.at(where, actual, "rows that follow the parent")
+    yield from _children_that_keep_their_rotation(entry, single_turns)
     for turn in turns:
         if len(turn.joints) == 2 and _is_chain_reversed(turn, single_turns):
             parent, name = (entry.joints[number].name for number in turn.joints)
             actual = f"rows of joint {name!r} turn as if its parent {parent!r} turned before it"
             hint = "Multiply the transform of the parent by that of the joint: G = G_parent · L."
             yield Violation.at(where, actual, "the joint's turn, then the parent's", hint=hint)
+
+
+def _children_that_keep_their_rotation(
+    entry: Input, single_turns: dict[int, _Turn]
+) -> Iterator[Violation]:
+    """Yield a violation if parents carry the rows of nearly all children, but do not turn them."""
+    from gsgen.contract.causes.pose_readings import angles_of
+
+    numbers = {joint.name: number for number, joint in enumerate(entry.joints)}
+    angles = []
+    for number, turn in single_turns.items():
+        parent_turn = single_turns.get(numbers.get(entry.joints[number].parent or "", -1))
+        motion = parent_turn.motion(among=turn.moved) if parent_turn is not None else None
+        if motion is not None:
+            angles.append(float(angles_of(motion[0])))
+    kept = [angle for angle in angles if angle <= _MAX_CARRIED_ANGLE]
+    if kept and len(kept) >= _MIN_EXPLAINED_SHARE * len(angles):
+        actual = (
+            f"the rows of {len(kept)} of {len(angles)} joints move with the parent, but do not turn "
+            "with it: rotations were taken as global"
+        )
+        hint = "Multiply each joint's rotation by that of its parent: G = G_parent · L."
+        expected = "rows that turn with the parent"
+        yield Violation.at(f"manifest input {entry.name}", actual, expected, hint=hint)
 
 
 def _is_chain_reversed(turn: _Turn, single_turns: dict[int, _Turn]) -> bool:

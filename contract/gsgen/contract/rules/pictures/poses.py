@@ -36,7 +36,7 @@ _MAX_FOLLOWING_CHANGE = 0.3
 _MAX_STAYING_SHARE = 0.1
 
 
-@rule("GB035", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS, "GB042"))
+@rule("GB035", Severity.WARNING, needs=(*REPRODUCIBLE, *VALID_ROWS, "GB042", "GB068"))
 def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
     """Where neighbouring Gaussians rotate rigidly between two runs, covariances rotate as well.
 
