@@ -13,6 +13,7 @@ from gsgen.contract.spec.geometry import look_at, perspective
 
 EYES = ([0.3, -0.4, -5.0], [4.0, 1.0, 1.0], [-1.0, -4.0, 2.0])
 PROJECTION = perspective(1.0, 1.2, 0.1, 50.0).astype(np.float64)
+PULLED = "moved by 0.1 of the camera's centre"
 BOX = ((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2))
 
 
@@ -36,6 +37,7 @@ def misplaced(space: str, points: np.ndarray, view: np.ndarray) -> np.ndarray:
         "in clip space": homogeneous(PROJECTION @ view, points),
         "relative to the camera's centre": points - center,
         "moved by the camera's centre": points + center,
+        PULLED: points + 0.1 * center,
         "relative to the translation of the view matrix": points - translation,
         "turned into the camera's axes": points @ rotation.T,
         "moved by the inverse of the view matrix": homogeneous(np.linalg.inv(view), points),
@@ -57,7 +59,7 @@ def seen(space: str, eye: list[float], points: np.ndarray) -> SeenRows:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("space", ["", *_SPACES])
+@pytest.mark.parametrize("space", ["", PULLED, *_SPACES])
 def test_each_space_is_named_and_no_order_of_columns(space: str, seed: int) -> None:
     """Centres outside the bounds, and covariances in their box, tempt to blame the columns."""
     gaussians = cloud(200, seed=seed)

@@ -21,6 +21,8 @@ FRAMES = 12
 STEPPED = {
     "floor(time · frames)": ("many = Mul (time, frames) low = Floor (many)", ""),
     "frames − 1": ("many = Mul (time, last) low = Floor (many)", "GB069"),
+    "wrapped": ("part = Mod <fmod = 1> (time, one) many = Mul (part, frames) low = Floor (many)",
+                "GB069"),
     "rounded": ("many = Mul (time, frames) low = Round (many)", "GB069"),
     "from one": ("many = Mul (time, frames) near = Floor (many) low = Sub (near, one)", "GB006"),
     "clamped early": ("many = Mul (time, frames) near = Floor (many) low = Min (near, early)", "GB006"),

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from gsgen.contract._array_types import Float
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.causes.readings import (
     MAX_INVALID_SHARE,
     Explanation,
@@ -21,6 +21,8 @@ from gsgen.contract.causes.readings import (
 # less than the second once the camera is undone.
 _MIN_MOTION_RATIO = 0.05
 _MAX_RESIDUAL_RATIO = 2e-3
+# A fraction of the camera's centre by which centres move.
+_MIN_FACTOR = 0.01
 # A part of the rows may follow, such as actors before a static background, or a grid around the camera.
 _MIN_MOVING_ROWS, _MIN_MOVING_SHARE = 4, 0.05
 
@@ -39,7 +41,10 @@ def space_of_still_rows(cameras: Sequence[SeenRows]) -> Explanation | None:
         is_moving = motion > _MIN_MOTION_RATIO * extent
         if np.count_nonzero(is_moving) < max(_MIN_MOVING_ROWS, _MIN_MOVING_SHARE * count):
             continue
-        for name, (undo, hint) in _SPACES.items():
+        for name, (undo, hint) in {
+            **_SPACES,
+            **_partly_moved(first, second, is_moving, drawn),
+        }.items():
             local_positions = [undo(camera) for camera in (first, second)]
             if any(points is None for points in local_positions):
                 continue
@@ -98,6 +103,26 @@ def _relative_to_centre(camera: SeenRows) -> Float[np.ndarray, "n 3"]:
 def _moved_along(axes: str) -> Callable[[SeenRows], Float[np.ndarray, "n 3"]]:
     is_followed = np.array([axis in axes for axis in "xyz"])
     return lambda camera: np.asarray(camera.position - camera.center * is_followed)
+
+
+def _partly_moved(
+    first: SeenRows,
+    second: SeenRows,
+    is_moving: Bool[np.ndarray, " m"],
+    drawn: Bool[np.ndarray, " n"],
+) -> dict[str, tuple[Callable[[SeenRows], Float[np.ndarray, "n 3"] | None], str]]:
+    """Return the space of centres that move by a fraction of the camera's motion, if that is one."""
+    motion = np.median((second.position - first.position)[drawn][is_moving], axis=0)
+    step = second.center - first.center
+    factor = float(motion @ step / max(step @ step, np.finfo(float).tiny))
+    if not abs(factor) >= _MIN_FACTOR:
+        return {}
+    return {
+        f"moved by {factor:.3g} of the camera's centre": (
+            lambda camera: np.asarray(camera.position - factor * camera.center),
+            "Do not move the centres of the rows with the camera, far ones neither: fade or hide them.",
+        )
+    }
 
 
 def _relative_to_translation(camera: SeenRows) -> Float[np.ndarray, "n 3"] | None:

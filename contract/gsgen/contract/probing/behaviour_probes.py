@@ -1,6 +1,7 @@
 """Test inputs of behaviour rules: range ends, flipped axes, loops, frames, order of runs."""
 
 __all__ = [
+    "HIGH_END",
     "HISTORIES",
     "JOINTS",
     "LONG_QUATERNIONS_LABEL",
@@ -77,6 +78,8 @@ _STEPS_PER_RANGE = 60
 ZERO_LABEL = "with zero"
 # Names of the probes within two frames and of the first and last frames; where in a frame.
 STEPS, ORDER = "steps", "order"
+# Name of the probe at the end of a clock that does not loop.
+HIGH_END = "at the high end of the time"
 STEP_OFFSETS, ORDER_FRAMES = (0.1, 0.5, 0.9), (0, 1, 2, -3, -2, -1)
 # Name of the probes in which joints turn alone, the angle in radians, and the most joints.
 JOINTS, SINGLE_JOINT_ANGLE = "joints", 0.8
@@ -138,6 +141,9 @@ def trial_probes(
                 yield "within frames", tuple(_frame_window_probes(entry, base))
                 yield "swept", tuple(_sweep_probes(manifest, entry, base))
                 yield STEPS, tuple(_step_probes(entry, base))
+                if entry.frames and not entry.loop:
+                    probe = _probe_at_fraction(entry, base, 1.0)
+                    yield HIGH_END, (replace(probe, label=HIGH_END, survey=True),)
             if entry.role in ("time", "frame_index") and entry.range is not None:
                 yield ORDER, tuple(_order_probes(entry, base))
     if isinstance(manifest, TrajectoryManifest):

@@ -161,6 +161,23 @@ def test_rows_that_move_as_a_whole_pass(name: str, tmp_path: Path) -> None:
     assert not findings(WHOLE[name], tmp_path, "GB065")
 
 
+def test_whole_gaussians_at_other_places_than_their_colours_are_an_error(tmp_path: Path) -> None:
+    frame = Input(name="frame", role="frame_index", range=(0.0, 15.0), default=0, frames=16)
+    fields = ("position", "opacity", "covariance")
+    gathered = " ".join(f"{name}_out = Gather <axis = 0> ({name}, order)" for name in fields)
+    nodes = (
+        "step = Cast <to = 7> (frame) steps = Mul (step, seven) ahead = Add (places, steps) "
+        f"order = Mod (ahead, total) {gathered} color = Identity (colors)"
+    )
+    model = by_parts("room", nodes, frame).with_weights(
+        places=np.arange(_ROWS), seven=i64(7), total=i64(_ROWS)
+    )
+    path = tmp_path / "m.onnx"
+    model.write(path)
+    report = validate(path)
+    assert [(f.rule, f.certainty) for f in report.findings][:1] == [("GB065", "confirmed")]
+
+
 def scaled(
     kind: Kind, distances: float, sizes: float, *, part: float = 1.0, entry: Input = _TIME
 ) -> ModelSpec:

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import ORDER, STEP_OFFSETS, STEPS
+from gsgen.contract.probing.behaviour_probes import HIGH_END, ORDER, STEP_OFFSETS, STEPS
 from gsgen.contract.probing.differences import largest_difference
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
@@ -267,15 +267,16 @@ def _typical_motion(first: np.ndarray, second: np.ndarray) -> float:
 
 @rule("GB069", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI006", "GB040"))
 def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where outputs stand still within frames, they change where a frame begins.
+    """Where outputs stand still within frames, they change where one begins; the last one ends them.
 
     Why:
         Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
         the nearest, come too early by up to half of a frame, and the last one never, or too short.
+        A clock that stops at the high end shows the last frame from then on.
 
     Hint:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1: neither Round,
-        nor frames − 1.
+        nor frames − 1, nor Mod.
     """
     digests = [run.digest for run in behaviour.trial_runs(STEPS)]
     count = len(STEP_OFFSETS)
@@ -289,6 +290,17 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
             f"frames change within a declared frame, before {offset:g} of it, and not between two"
         )
         yield Violation.at("role time", actual, "frame k from t(k) on")
+    last = [run for run in behaviour.trial_runs("within frames") if run.digest][-1:]
+    ends = [run for run in behaviour.trial_runs(HIGH_END) if run.digest]
+    is_stepped = not any(map(any, within)) and not any(_breaks_of_order(behaviour))
+    if is_stepped and last and ends and ends[0].digest != last[0].digest:
+        first = [run.digest for run in _frame_runs(behaviour)[:1]]
+        words = "frame 0" if first == [ends[0].digest] else "another one"
+        actual = f"the high end of the time shows {words}, and not the last frame"
+        hint = (
+            "Clamp the frame's number to the last, min(floor(time · frames), frames − 1): no Mod."
+        )
+        yield Violation.at("role time", actual, "the last frame, without loop", hint=hint)
 
 
 @rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GI006"))

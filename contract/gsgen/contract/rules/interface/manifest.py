@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.model.graph import Tensor, static_dims
+from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
-from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
+from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CONTRACT_VERSION, UPGRADE_BY_VERSION
 from gsgen.contract.validation.finding import Violation, remove_hint, set_hint
@@ -155,7 +155,7 @@ def _one_of_names_text(names: list[str]) -> str:
     return f"one of {names_text}" if names else "a tensor that exists; the graph has none"
 
 
-@rule("GM005", Severity.ERROR, needs=("GM004",))
+@rule("GM005", Severity.ERROR, needs=("GM004",), kinds=MANIFEST_KINDS)
 def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
     """The dtypes and sizes that the manifest declares are compatible with the graph.
 
@@ -166,16 +166,20 @@ def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Take the values from the graph, or export again so that they agree.
     """
-    if not isinstance(subject.manifest, GeneratorManifest):
-        return
-    for entry in subject.manifest.inputs:
+    for entry in subject.manifest.inputs if subject.manifest else ():
         tensor = subject.graph.input(entry.name)
-        dims = static_dims(tensor) if tensor else None
-        if entry.shape and dims and tuple(dims) != entry.shape:
-            actual = f"graph has {list(dims)}"
-            yield Violation.at(
-                f"input {entry.name}", actual, f"the declared shape {list(entry.shape)}"
+        dims, shape = tensor.dims if tensor else None, entry.shape
+        # Height and width of a picture may be open in the graph.
+        if (
+            dims
+            and shape
+            and (
+                len(dims) != len(shape)
+                or any(isinstance(a, int) and a != b for a, b in zip(dims, shape, strict=True))
             )
+        ):
+            actual = f"graph has {list(dims)}"
+            yield Violation.at(f"input {entry.name}", actual, f"the declared shape {list(shape)}")
     yield from _dtypes_agree(subject.declared_gaussians, subject.gaussians)
     yield from _gaussians_agree(subject)
     yield from _appearance_agrees(subject)
