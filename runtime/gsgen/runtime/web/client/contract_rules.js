@@ -7,13 +7,6 @@ const publishedSchema = (kind) => SCHEMAS.get(kind);
 const denseWeight = ({ dims, values: { name, data_type } }) => ({ name, data_type, dims });
 const noFacts = () => ({ tensors: new Map(), conflicts: [], checker: "", inference: "" });
 
-class GeneratorManifest$manifest extends py.Record {
-static fields = [["name", null, null], ["inputs", () => Input$inputs, () => []], ["version", null, () => "1.0.0"], ["family", null, null], ["producer", () => Producer$records, null], ["test_vectors", () => TestVector$records, () => []], ["contract", null, () => "1.0"], ["extensions_used", null, () => []], ["extensions_required", null, () => []], ["operator_profile", null, null], ["external_data", () => ExternalData$records, () => []], ["cost", () => Cost$records, () => []], ["outputs", () => GeneratorOutputs$outputs, null], ["space", () => Space$scene, null], ["bounds", () => Bounds$scene, null], ["depends_on", null, () => py.dict([])], ["antialias", null, () => "classic"], ["blend", null, () => "alpha"], ["weighted_sum", () => WeightedSum$scene, null], ["capture", () => Capture$manifest, () => new Capture$manifest(true)], ["tolerances", () => Tolerances$scene, null], ["reference_images", () => ReferenceImage$records, () => []], ["kind", null, () => "gaussian-generator"]];
-depends(entry) {
-  const self = this;
-return py.get(self.depends_on, entry.name, py.get(self.depends_on, entry.role, true));
-}
-}
 class Role$roles extends py.Record {
 static fields = [["name", null, null], ["dtype", null, null], ["shapes", null, null], ["summary", null, null], ["kinds", null, () => ["gaussian-generator"]], ["index", null, () => false], ["needs_range", null, () => false], ["conventions", null, () => []]];
 }
@@ -22,6 +15,13 @@ static fields = [["name", null, null], ["opset", null, null], ["operators", null
 missing(operators) {
   const self = this;
 return py.sorted((py.minus(py.set(operators), self.operators)));
+}
+}
+class GeneratorManifest$manifest extends py.Record {
+static fields = [["name", null, null], ["inputs", () => Input$inputs, () => []], ["version", null, () => "1.0.0"], ["family", null, null], ["producer", () => Producer$records, null], ["test_vectors", () => TestVector$records, () => []], ["contract", null, () => "1.0"], ["extensions_used", null, () => []], ["extensions_required", null, () => []], ["operator_profile", null, null], ["external_data", () => ExternalData$records, () => []], ["cost", () => Cost$records, () => []], ["outputs", () => GeneratorOutputs$outputs, null], ["space", () => Space$scene, null], ["bounds", () => Bounds$scene, null], ["depends_on", null, () => py.dict([])], ["antialias", null, () => "classic"], ["blend", null, () => "alpha"], ["weighted_sum", () => WeightedSum$scene, null], ["capture", () => Capture$manifest, () => new Capture$manifest(true)], ["tolerances", () => Tolerances$scene, null], ["reference_images", () => ReferenceImage$records, () => []], ["kind", null, () => "gaussian-generator"]];
+depends(entry) {
+  const self = this;
+return py.get(self.depends_on, entry.name, py.get(self.depends_on, entry.role, true));
 }
 }
 class TrajectoryManifest$manifest extends py.Record {
@@ -435,30 +435,19 @@ names_text = (py.plus(py.list(py.slice(names, null, 8)).join(", "), ((py.compare
 return (py.bool(names) ? `one of ${py.str(names_text)}` : "a tensor that exists; the graph has none");
 }
 function* manifest_agrees_with_graph$manifest(subject) {
-  let actual, dims, entry, tensor;
-if (!py.isinstance(subject.manifest, GeneratorManifest$manifest)) {
-return;
-}
-for (entry of py.iter(subject.manifest.inputs)) {
+  let actual, dims, entry, shape, tensor;
+for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 tensor = subject.graph.input(entry.name);
-dims = (py.bool(tensor) ? static_dims$graph(tensor) : null);
-if ((py.bool(entry.shape) && py.bool(dims) && (!py.eq(py.list(dims), entry.shape)))) {
+[dims, shape] = [(py.bool(tensor) ? tensor.dims : null), entry.shape];
+if ((py.bool(dims) && py.bool(shape) && ((!py.eq(py.len(dims), py.len(shape))) || py.list((function* () { for (const [a, b] of py.iter(py.zip(dims, shape))) yield py.and(py.isinstance(a, py.int), () => (!py.eq(a, b))); })()).some(py.bool)))) {
 actual = `graph has ${py.str(py.list(dims))}`;
-yield py.violation(`input ${py.str(entry.name)}`, actual, `the declared shape ${py.str(py.list(entry.shape))}`);
+yield py.violation(`input ${py.str(entry.name)}`, actual, `the declared shape ${py.str(py.list(shape))}`);
 }
 }
 yield* py.iter(_dtypes_agree$manifest(subject.declared_gaussians, subject.gaussians));
 yield* py.iter(_gaussians_agree$manifest(subject));
 yield* py.iter(_appearance_agrees$manifest(subject));
 yield* py.iter(_dtypes_agree$manifest(subject.declared_cells, subject.cells));
-}
-function static_dims$graph(tensor) {
-  let sizes;
-if ((tensor.dims == null)) {
-return null;
-}
-sizes = [...(function* () { for (const dim of py.iter(tensor.dims)) if ((py.isinstance(dim, py.int) && (py.compare(dim, 0) > 0))) yield dim; })()];
-return ((py.eq(py.len(sizes), py.len(tensor.dims))) ? py.list(sizes) : null);
 }
 function* _dtypes_agree$manifest(declared, tensor) {
   let actual, expected;
@@ -858,6 +847,14 @@ if ((matching_shape$roles(py.item(ROLES$4, role), dims, kind) == null)) {
 shapes = _shapes_text$inputs(py.item(ROLES$4, role), kind);
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, `${py.str(shapes)}, as the role ${py.str(role)} has`);
 }
+}
+function static_dims$graph(tensor) {
+  let sizes;
+if ((tensor.dims == null)) {
+return null;
+}
+sizes = [...(function* () { for (const dim of py.iter(tensor.dims)) if ((py.isinstance(dim, py.int) && (py.compare(dim, 0) > 0))) yield dim; })()];
+return ((py.eq(py.len(sizes), py.len(tensor.dims))) ? py.list(sizes) : null);
 }
 function _is_open_image$inputs(tensor, role) {
   let sizes;
@@ -2381,7 +2378,7 @@ export const RULES = [
 {"id": "GM002", "severity": "error", "hint": "Correct the field named here; the schema is printed by `gsgen inspect --schema KIND`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_schema$manifest},
 {"id": "GM003", "severity": "error", "hint": "Update gsgen, or export the model for the contract version that your readers know.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_version$manifest},
 {"id": "GM004", "severity": "error", "hint": "Write the names as the graph has them; `gsgen inspect MODEL` lists both.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: declared_tensors_exist$manifest},
-{"id": "GM005", "severity": "error", "hint": "Take the values from the graph, or export again so that they agree.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM004"], check: manifest_agrees_with_graph$manifest},
+{"id": "GM005", "severity": "error", "hint": "Take the values from the graph, or export again so that they agree.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": ["GM004"], check: manifest_agrees_with_graph$manifest},
 {"id": "GM006", "severity": "warning", "hint": "Add \"space\": {\"handedness\": \"right\", \"up\": …, \"unit\": …, \"matrix_order\": …}.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: coordinate_frame_declared$manifest},
 {"id": "GM007", "severity": "error", "hint": "Set \"space\": \"sh\" if the rows hold coefficients; else remove the degree.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: sh_declared_as_sh$declarations},
 {"id": "GM008", "severity": "info", "hint": "Add \"color_space\": \"srgb\" or \"linear\" to outputs.appearance.", "kinds": ["gaussian-generator"], "target": "", "limit": "", "needs": ["GM002", "GM003"], check: color_space_declared$declarations},
