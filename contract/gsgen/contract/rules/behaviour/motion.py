@@ -272,7 +272,7 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
     Why:
         Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
         the nearest, come too early by up to half of a frame, and the last one never, or too short.
-        A clock that stops at the high end shows the last frame from then on.
+        A clock stops at the high end.
 
     Hint:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1: neither Round,
