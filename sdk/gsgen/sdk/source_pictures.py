@@ -7,6 +7,7 @@ picture: a tool that rewrites the file, swapped channels, a mirrored axis, other
 __all__ = ["SourcePictures", "add_source_pictures"]
 
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -71,13 +72,20 @@ def add_source_pictures(
         message = f"is {count}, expected from 1 to {most}, the model's probes"
         raise ConfigInvalid(message, where="--pictures", hint=f"The most is --pictures {most}.")
     frames = [(probe, run(probe)) for probe in evenly_spaced(candidates, count)]
+    drawn = pictures.draw(subject.generator, frames)
     folder = draft.parent / f"{draft.stem}-references"
-    folder.mkdir()
-    images = []
-    for number, (png, declaration) in enumerate(pictures.draw(subject.generator, frames)):
-        (folder / f"{number}.png").write_bytes(png)
-        images.append(replace(declaration, path=f"{folder.name}/{number}.png"))
+    images = tuple(
+        replace(declaration, path=f"{folder.name}/{number}.png")
+        for number, (_, declaration) in enumerate(drawn)
+    )
     document = json.loads(subject.file.manifest_text or "{}")
-    updated_document = document | {"reference_images": to_json(tuple(images))}
-    write_manifest_text(draft, json.dumps(updated_document, ensure_ascii=False), draft)
-    return tuple(images)
+    text = json.dumps(document | {"reference_images": to_json(images)}, ensure_ascii=False)
+    folder.mkdir()
+    try:
+        for image, (png, _) in zip(images, drawn, strict=True):
+            (draft.parent / image.path).write_bytes(png)
+        write_manifest_text(draft, text, draft)
+    except BaseException:  # an export that is out of time goes on without pictures
+        shutil.rmtree(folder)
+        raise
+    return images

@@ -26,26 +26,21 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk import export
 from plugins.feed_forward.cases import CASES, GOLDENS, Case
 from plugins.feed_forward.feed_forward_oracle import lgm, splatter_image
-from support.checkpoints.plugin_checks import ALLOWED, assert_like, eager
+from support.checkpoints.plugin_checks import ALLOWED, assert_like, eager, field_errors
 from support.commands import gsgen_here
 from support.models.captured import assert_captured
 
 each_case = pytest.mark.parametrize("name", CASES)
 
 
-def assert_golden(name: str, rows: np.ndarray, color: np.ndarray) -> None:
-    """Demand that the rows of a golden agree with those that the method's own code computed."""
+def golden_errors(name: str, rows: np.ndarray, color: np.ndarray) -> dict[str, float]:
+    """Compare the rows of a golden with those that the method's own code computed."""
     golden = np.load(GOLDENS / f"{name}.npz")
-    taken = golden["rows"]
-    pairs = {
-        "position": rows[taken, :3],
-        "opacity": rows[taken, 3],
-        "covariance": rows[taken, 4:],
-        "color": color[taken, : golden["color"].shape[1]],
-    }
-    for field, values in pairs.items():
-        target = golden[field]
-        error = np.abs(values - target).max() / np.abs(target).max()
+    return field_errors(rows[golden["rows"]], color[golden["rows"]], golden)
+
+
+def assert_golden(name: str, rows: np.ndarray, color: np.ndarray) -> None:
+    for field, error in golden_errors(name, rows, color).items():
         assert error <= 2 * ALLOWED[field], (field, error)  # both are float32, in another order
 
 

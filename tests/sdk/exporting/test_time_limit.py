@@ -11,6 +11,9 @@ from typer.testing import CliRunner
 
 from gsgen.cli.commands.exporting import export_job
 from gsgen.cli.commands.exporting.export import app
+from gsgen.contract.spec.manifest import ReferenceImage
+from gsgen.runtime.checks import eager_pictures
+from gsgen.sdk import source_pictures
 from support.commands import gsgen
 
 STAGES = (
@@ -46,6 +49,17 @@ with time_limit(0.1, "too late"):
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
     ctypes.CDLL(None).pause()
 """
+ROWS = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 2.0))
+PICTURE = ReferenceImage(
+    path="picture.png",
+    sha256="0" * 64,
+    inputs="zeros",
+    view=ROWS,
+    focal=(8.0, 8.0),
+    center=(4.0, 4.0),
+    psnr=40.0,
+    from_="source",
+)
 needs_alarms = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="there are no alarms")
 
 
@@ -112,6 +126,30 @@ def test_levels_out_of_time_are_not_checked_and_the_model_is_written(
     reasons = {level["reason"] for level in levels[last + 1 :]}
     assert reasons == {"not checked: out of time after 600 s (--timeout)"}
     assert (folder / "m.onnx").exists()
+
+
+@needs_alarms
+@pytest.mark.parametrize("message", ["drawing", "writing pictures"])
+def test_a_model_that_agrees_is_written_without_pictures(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, message: str
+) -> None:
+    """Time is over before the first picture, or when all are files and the manifest is not."""
+
+    def draw(*_: object) -> list[tuple[bytes, ReferenceImage]]:
+        return [(b"png", PICTURE)]
+
+    def write(*_: object) -> None:
+        export_job.progress("writing pictures")
+
+    monkeypatch.setattr(eager_pictures, "draw_source_frames", draw)
+    monkeypatch.setattr(source_pictures, "write_manifest_text", write)
+    code, out, err = exported_until(message, monkeypatch, "--json", "--pictures", "1")
+    assert code == 0
+    assert "note: --pictures: none were drawn: out of time after 600 s (--timeout)" in err
+    levels = json.loads(out)["validation"]["levels"]
+    assert [level["status"] for level in levels] == ["ran", "skipped", "skipped"]
+    assert [path.name for path in folder.glob("*m*") if path.suffix != ".py"] == ["m.onnx"]
+    assert not list(folder.rglob("*.png"))
 
 
 @needs_alarms

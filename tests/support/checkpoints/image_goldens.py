@@ -8,14 +8,10 @@ import numpy as np
 ALLOWED, MARGIN = 2e-5, 3
 
 
-def assert_image_golden(
-    path: Path,
-    image: np.ndarray,
-    allowed: float = ALLOWED,
-    *,
-    limits: tuple[float, float] | None = None,
-) -> None:
-    """Demand that an image agrees with a golden; with ``limits``, that one is clipped to them.
+def image_error(
+    path: Path, image: np.ndarray, *, limits: tuple[float, float] | None = None
+) -> float:
+    """Return the largest difference of an image from a golden, which ``limits`` clip.
 
     The golden may have more rows and columns, which are left out.
     """
@@ -28,5 +24,16 @@ def assert_image_golden(
     expected = golden["values"][inside].astype(np.float64)
     expected = expected if limits is None else np.clip(expected, *limits)
     places = batch[inside], channel[inside], row[inside], column[inside]
-    error = np.abs(image[places].astype(np.float64) - expected).max()
+    return float(np.abs(image[places].astype(np.float64) - expected).max())
+
+
+def assert_image_golden(
+    path: Path,
+    image: np.ndarray,
+    allowed: float = ALLOWED,
+    *,
+    limits: tuple[float, float] | None = None,
+) -> None:
+    """Demand that an image agrees with a golden."""
+    error = image_error(path, image, limits=limits)
     assert error <= allowed, error

@@ -16,6 +16,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.test_vectors import MAX_RECORDED_VECTORS
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.process.interrupts import OutOfTime
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage, TestVector, Tolerances
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
@@ -90,6 +91,7 @@ class _VerificationResult:
     parity: Parity
     vectors: tuple[TestVector, ...]  # rows of the module
     images: tuple[ReferenceImage, ...]  # pictures of the module
+    notes: tuple[str, ...]  # why there are none
 
 
 @on_cpu()
@@ -195,6 +197,7 @@ def export(
                 report = check_contract(draft, options)
             except ExportRejected as error:
                 raise _with_line(error, traced.shape_obstacle, prepared_export) from error
+    notes += verification_result.notes
     if traced.folding is not None:
         notes += traced.folding.describe()
     gaussians = rewritten.manifest.outputs.gaussians
@@ -310,7 +313,12 @@ def _verify_exported_model(
         return packed_outputs(run_eager(generator, probe), manifest)
 
     images: tuple[ReferenceImage, ...] = ()
+    notes: tuple[str, ...] = ()
     if pictures is not None:
-        options.progress("drawing the module in eager torch")
-        images = add_source_pictures(draft, run_packed, pictures)
-    return _VerificationResult(parity, recorded_vectors, images)
+        try:
+            options.progress("drawing the module in eager torch")
+            images = add_source_pictures(draft, run_packed, pictures)
+        except OutOfTime as error:  # the model agrees with torch, and is written without pictures
+            error.guard.cancel()
+            notes = (f"--pictures: none were drawn: {error}",)
+    return _VerificationResult(parity, recorded_vectors, images, notes)

@@ -219,7 +219,7 @@ def check_contract(draft: Path, options: ExportOptions, *, must_conform: bool = 
     Raises:
         ExportRejected: The model breaks a rule; the error carries the report.
     """
-    from gsgen.contract.process.interrupts import OutOfTime
+    from gsgen.contract.process.interrupts import OutOfTime, require_time
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.report import LevelOutcome
@@ -230,6 +230,7 @@ def check_contract(draft: Path, options: ExportOptions, *, must_conform: bool = 
     base = options.settings or Settings(level=Level.BEHAVIOUR)
     settings = replace(base, target=load_target(options.target))
     try:
+        require_time()
         report = validate(draft, settings, progress=options.progress)
     except OutOfTime as error:  # before its first run, which a validation goes on without
         error.guard.cancel()

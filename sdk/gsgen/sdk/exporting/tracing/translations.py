@@ -190,20 +190,32 @@ def _translate_power(base: Any, exponent: Any) -> Any:
 
 
 def _translate_copysign(magnitude: Any, sign: Any) -> Any:
-    """Translate ``copysign``: the sign of -0.0 counts, which its reciprocal shows."""
+    """Translate ``copysign``: the sign of -0.0 counts."""
     promoted = torch.result_type(_promotable(magnitude), _promotable(sign))
     result_type = promoted if promoted.is_floating_point else torch.get_default_dtype()
     code = int(from_torch_dtype(result_type))
     size = _OPSET18.Abs(_OPSET18.Cast(magnitude, to=code))
     if isinstance(sign, int | float):
         return size if math.copysign(1, sign) > 0 else _OPSET18.Neg(size)
-    number = _OPSET18.Cast(sign, to=code)
-    zero = _OPSET18.CastLike(_OPSET18.Constant(value_float=0.0), number)
-    is_negative_zero = _OPSET18.And(
-        _OPSET18.Equal(number, zero), _OPSET18.Less(_OPSET18.Reciprocal(number), zero)
-    )
-    is_negative = _OPSET18.Or(_OPSET18.Less(number, zero), is_negative_zero)
+    is_negative = _is_negative(_OPSET18.Cast(sign, to=code))
     return _OPSET18.Where(is_negative, _OPSET18.Neg(size), size)
+
+
+def _translate_signbit(values: Any) -> Any:
+    """Translate ``signbit``; numbers without a sign are 0 or more."""
+    if values.dtype.is_floating_point():
+        return _is_negative(values)
+    integers = _OPSET18.Cast(values, to=TensorProto.INT64)
+    return _OPSET18.Less(integers, _OPSET18.Constant(value_int=0))
+
+
+def _is_negative(values: Any) -> Any:
+    """Return which floats are negative, -0.0 included, as its reciprocal shows."""
+    zero = _OPSET18.CastLike(_OPSET18.Constant(value_float=0.0), values)
+    is_negative_zero = _OPSET18.And(
+        _OPSET18.Equal(values, zero), _OPSET18.Less(_OPSET18.Reciprocal(values), zero)
+    )
+    return _OPSET18.Or(_OPSET18.Less(values, zero), is_negative_zero)
 
 
 def _translate_hypot(a: Any, b: Any) -> Any:
@@ -239,6 +251,7 @@ OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
     torch.ops.prims.hypot.default: _translate_hypot,
     torch.ops.prims.fmax.default: _translate_number_extreme("Max"),
     torch.ops.prims.fmin.default: _translate_number_extreme("Min"),
+    torch.ops.aten.signbit.default: _translate_signbit,
     torch.ops.aten.copysign.Tensor: _translate_copysign,
     torch.ops.aten.copysign.Scalar: _translate_copysign,
     torch.ops.aten.pow.Tensor_Tensor: _translate_power,
