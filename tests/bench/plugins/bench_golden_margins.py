@@ -119,7 +119,7 @@ def of_pictures(name: str, folder: Path) -> Golden:
         module,
         [dict(zip(names, case.inputs(), strict=True))],
         lambda _, outputs, dtype: over(
-            test_feed_forward.golden_errors(name, *outputs[:2]), tolerances(dtype)
+            field_errors(*test_feed_forward.golden_pairs(name, *outputs[:2])), tolerances(dtype)
         ),
     )
 

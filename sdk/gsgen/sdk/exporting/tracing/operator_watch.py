@@ -45,7 +45,7 @@ _SUBSTITUTE_HINTS: Final[tuple[tuple[str, str], ...]] = (
         "matrix product.",
     ),
     (
-        ".*bessel.*|.*gamma.*|erfinv|special_.*|i0|i1|polygamma|zeta",
+        ".*bessel.*|.*gamma.*|erf_?inv|ndtri|special_.*|i0|i1|zeta",
         "Use a polynomial or a table that is computed once, in __init__.",
     ),
     (
@@ -108,10 +108,15 @@ class OperatorWatch(TorchDispatchMode):
         """Return the line that called an operator; empty if the module did not call it.
 
         Names are compared without prefix and underscores: the exporter decomposes
-        ``special_bessel_j0`` to ``bessel_j0``, and ``erfinv`` to ``erf_inv``.
+        ``special_bessel_j0`` to ``bessel_j0``, and ``erfinv`` to ``erf_inv``. Of others, one name ends
+        with the other, as ``i0`` and ``bessel_i0``, or ``mvlgamma`` and ``lgamma``.
         """
         name = _plain_name(operator)
-        return next((line for call, line in self.lines.items() if _plain_name(call) == name), "")
+        lines = {_plain_name(call): line for call, line in reversed(self.lines.items())}
+        if name in lines:
+            return lines[name]
+        calls = (call for call in lines if name.endswith(call) or call.endswith(name))
+        return next((lines[call] for call in calls), "")
 
     @property
     def precision_hint(self) -> str:
@@ -130,7 +135,8 @@ def _is_low_precision(dtype: torch.dtype) -> bool:
 
 
 def _plain_name(operator: str) -> str:
-    return operator.removeprefix("special_").replace("_", "")
+    name = operator.removeprefix("special_").replace("_", "")
+    return "gcd" if name == "lcm" else name  # lcm is decomposed to gcd
 
 
 def missing_operator(error: BaseException) -> tuple[str, str]:

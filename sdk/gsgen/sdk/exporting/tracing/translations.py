@@ -201,6 +201,11 @@ def _translate_copysign(magnitude: Any, sign: Any) -> Any:
     return _OPSET18.Where(is_negative, _OPSET18.Neg(size), size)
 
 
+def _translate_scalar(number: float, dtype: int = TensorProto.FLOAT, **_: Any) -> Any:
+    """Translate ``prims.scalar_tensor``, to which torch decomposes the numbers of some functions."""
+    return _OPSET18.Constant(value=ir.tensor(number, ir.DataType(dtype)))
+
+
 def _translate_signbit(values: Any) -> Any:
     """Translate ``signbit``; numbers without a sign are 0 or more."""
     if values.dtype.is_floating_point():
@@ -247,6 +252,7 @@ def _translate_number_extreme(operator: str) -> Callable[..., Any]:
 
 OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
     torch.ops.aten.searchsorted.Tensor: _translate_searchsorted,
+    torch.ops.prims.scalar_tensor.default: _translate_scalar,
     torch.ops.prims.prod.default: _translate_prod,
     torch.ops.prims.hypot.default: _translate_hypot,
     torch.ops.prims.fmax.default: _translate_number_extreme("Max"),
