@@ -145,7 +145,7 @@ def test_a_model_that_agrees_is_written_without_pictures(
     monkeypatch.setattr(source_pictures, "write_manifest_text", write)
     code, out, err = exported_until(message, monkeypatch, "--json", "--pictures", "1")
     assert code == 0
-    assert "note: --pictures: none were drawn: out of time after 600 s (--timeout)" in err
+    assert "note: --pictures: no picture was drawn: out of time after 600 s (--timeout)" in err
     levels = json.loads(out)["validation"]["levels"]
     assert [level["status"] for level in levels] == ["ran", "skipped", "skipped"]
     assert [path.name for path in folder.glob("*m*") if path.suffix != ".py"] == ["m.onnx"]

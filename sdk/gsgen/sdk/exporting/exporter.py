@@ -91,7 +91,7 @@ class _VerificationResult:
     parity: Parity
     vectors: tuple[TestVector, ...]  # rows of the module
     images: tuple[ReferenceImage, ...]  # pictures of the module
-    notes: tuple[str, ...]  # why there are none
+    notes: tuple[str, ...]  # on pictures that are missing
 
 
 @on_cpu()
@@ -320,5 +320,5 @@ def _verify_exported_model(
             images = add_source_pictures(draft, run_packed, pictures)
         except OutOfTime as error:  # the model agrees with torch, and is written without pictures
             error.guard.cancel()
-            notes = (f"--pictures: none were drawn: {error}",)
+            notes = (f"--pictures: no picture was drawn: {error}",)
     return _VerificationResult(parity, recorded_vectors, images, notes)
