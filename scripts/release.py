@@ -26,6 +26,7 @@ PLACEHOLDER_FILES = (
     "README.md",
     "RELEASING.md",
     "action.yml",
+    "conda/recipe.yaml",
     "docs/guides/test-your-plugin-in-ci.md",
     "docs/guides/validate-in-ci.md",
     "docs/index.md",
@@ -33,7 +34,8 @@ PLACEHOLDER_FILES = (
     "mkdocs.yml",
     "pyproject.toml",
 )
-"""The files that may hold the placeholder."""
+"""The files that may hold the placeholder, and have the addresses of the repository."""
+_ADDRESS = re.compile(r"(?:github\.com/|(?:uses|repo): )([\w.-]+/gsgen)\b")
 MOST_MEGABYTES = 250
 """The bar for an environment with the base wheel, in MiB, with pip."""
 WRITE_MODEL = """
@@ -63,6 +65,12 @@ def project_version(root: Path) -> str:
     return str(document["project"]["version"])
 
 
+def repository(root: Path) -> str:
+    """Return OWNER/NAME of the repository: the address in pyproject.toml, which names the owner."""
+    document = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))
+    return str(document["project"]["urls"]["Repository"]).removeprefix("https://github.com/")
+
+
 def text_faults(root: Path, version: str) -> Iterator[str]:
     """Yield the faults of the version, the changelog, the citation and the addresses."""
     if not re.fullmatch(r"\d+\.\d+\.\d+((a|b|rc)\d+)?", version):
@@ -73,9 +81,14 @@ def text_faults(root: Path, version: str) -> Iterator[str]:
     citation = (root / "CITATION.cff").read_text("utf-8")
     if f"\nversion: {version}\n" not in citation:
         yield f"CITATION.cff: another version than {version}"
+    if f'\n  version: "{version}"\n' not in (root / "conda/recipe.yaml").read_text("utf-8"):
+        yield f"conda/recipe.yaml: another version than {version}"
     for name in PLACEHOLDER_FILES:
-        if PLACEHOLDER in (root / name).read_text("utf-8"):
+        text = (root / name).read_text("utf-8")
+        if PLACEHOLDER in text:
             yield f"{name}: holds the placeholder {PLACEHOLDER}; run `make owner OWNER=name`"
+        for other in sorted({*_ADDRESS.findall(text)} - {repository(root)}):
+            yield f"{name}: names {other}, but pyproject.toml {repository(root)}"
 
 
 def git_faults(root: Path, version: str) -> Iterator[str]:

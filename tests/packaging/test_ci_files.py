@@ -426,3 +426,23 @@ def test_the_container_copies_what_exists_and_runs_the_program() -> None:
     python = next(words[0] for name, *words in instructions if name == "ARG")
     claimed_versions = " ".join(PROJECT["project"]["classifiers"])
     assert f":: {python.partition('=')[2]}" in claimed_versions
+
+
+# --- The conda package
+
+
+def test_the_conda_recipe_follows_the_project() -> None:
+    recipe, project = read_yaml("conda/recipe.yaml"), PROJECT["project"]
+    lowest_python = recipe["context"]["python_min"]
+    assert f">={lowest_python}" == project["requires-python"]
+    _, *packages = recipe["requirements"]["run"]
+    assert [name.replace(" ", "") for name in packages] == project["dependencies"]
+    [backend] = PROJECT["build-system"]["requires"]
+    assert backend in [name.replace(" ", "") for name in recipe["requirements"]["host"]]
+    scripts = [f"{name} = {point}" for name, point in project["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == scripts
+    about = recipe["about"]
+    assert recipe["package"]["name"] == project["name"]
+    assert (about["summary"], about["license"]) == (project["description"], project["license"])
+    assert about["repository"] == project["urls"]["Repository"]
+    assert (ROOT / about["license_file"]).is_file()

@@ -60,6 +60,9 @@ def test_a_complete_tree_may_be_released(project: Path) -> None:
         ("pyproject.toml", 'version = "', 'version = "next', "expected three numbers"),
         ("CITATION.cff", "\nversion: ", "\nversion: 9", "CITATION.cff: another version"),
         ("README.md", "# gsgen", "# OWNER/gsgen", "README.md: holds the placeholder"),
+        ("mkdocs.yml", "com/acme/", "com/b/", "mkdocs.yml: names b/gsgen, but pyproject.toml acme"),
+        ("action.yml", "uses: acme/", "uses: b/", "action.yml: names b/gsgen"),
+        ("conda/recipe.yaml", 'version: "', 'version: "9', "conda/recipe.yaml: another version"),
     ],
 )
 def test_a_fault_is_named(project: Path, name: str, before: str, after: str, fault: str) -> None:
