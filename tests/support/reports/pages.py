@@ -44,8 +44,13 @@ def name_of(page: Path) -> str:
 
 def blocks(page: Path) -> list[Block]:
     """Return the marked code blocks of a page, in order."""
-    actual = _BLOCK.finditer(page.read_text("utf-8"))
-    return [Block(entry["mark"], entry["language"], entry["text"]) for entry in actual]
+    return blocks_of(page.read_text("utf-8"))
+
+
+def blocks_of(text: str) -> list[Block]:
+    """Return the marked code blocks of a part of a page, in order."""
+    matches = _BLOCK.finditer(text)
+    return [Block(entry["mark"], entry["language"], entry["text"]) for entry in matches]
 
 
 def links(page: Path) -> list[str]:
