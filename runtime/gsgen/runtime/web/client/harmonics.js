@@ -6,12 +6,14 @@ const basis = new Float64Array(16);
 basis[0] = 0.28209479177387814;
 
 /**
- * Write the colour that coefficients from an index on give a unit direction: 0.5 and the sum of the harmonics.
- * @param {number[]} direction
+ * Write the colour that coefficients from an index on give a direction: 0.5 and the sum of the harmonics.
+ * @param {number[]} s 3×3, by which the direction is stretched; then it is normalised.
  * @param {number} degree From 0 to 3.
  */
-export function writeColor([x, y, z], degree, coefficients, from, colors, to) {
-  const [xx, yy, zz] = [x * x, y * y, z * z];
+export function writeColor(s, dx, dy, dz, degree, coefficients, from, colors, to) {
+  let x = s[0] * dx + s[1] * dy + s[2] * dz, y = s[3] * dx + s[4] * dy + s[5] * dz, z = s[6] * dx + s[7] * dy + s[8] * dz;
+  const length = Math.sqrt(x * x + y * y + z * z);
+  const xx = (x /= length) * x, yy = (y /= length) * y, zz = (z /= length) * z;
   [basis[1], basis[2], basis[3]] = [-H * y, H * z, -H * x];
   [basis[4], basis[5], basis[6]] = [E * x * y, -E * y * z, F * (2 * zz - xx - yy)];
   [basis[7], basis[8]] = [-E * x * z, G * (xx - yy)];

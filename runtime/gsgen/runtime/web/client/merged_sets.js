@@ -2,7 +2,7 @@
 
 import { eyeOf } from "./camera.js";
 import { writeColor } from "./harmonics.js";
-import { linearPart, normalized, placeRow, plus, relativeStretch, solve, times } from "./matrices.js";
+import { linearPart, placeRow, plus, relativeStretch, solve } from "./matrices.js";
 import { numbersOf } from "./memory_device.js";
 import { wideningPlane } from "./three_adapter.js";
 
@@ -23,16 +23,14 @@ export function arraysOf({ buffers: { pages: [page] } }) {
 export function mergeSets(sets, camera, { rows, appearance }) {
   let live = 0;
   for (const set of sets) {
-    const { transform, buffers, clip, opacityScale = 1, degree = buffers.degree, antialias = buffers.antialias } = set;
+    const { transform, buffers, buffers: { stride }, clip, opacityScale = 1, degree = buffers.degree, antialias = buffers.antialias } = set;
     const { rows: own, appearance: colors } = arraysOf(set);
-    const { stride } = buffers;
     const linear = linearPart(transform);
     const plane = antialias === "classic" ? wideningPlane(camera, transform) : [0, 0, 0, 0];
     const eye = solve(linear, plus(eyeOf(camera), -1, [3, 7, 11].map((index) => transform[index])));
     const toSh = relativeStretch(linear);
     for (let row = 0; row < buffers.count; row++) {
-      const from = 10 * row;
-      const [x, y, z] = [own[from], own[from + 1], own[from + 2]];
+      const from = 10 * row, x = own[from], y = own[from + 1], z = own[from + 2];
       const opacity = opacityScale * own[from + 3];
       const isInside = !clip || [x, y, z].every((part, axis) => part >= clip.low[axis] && part <= clip.high[axis]);
       if (!(opacity >= LEAST_OPACITY) || !isInside) continue;
@@ -41,7 +39,7 @@ export function mergeSets(sets, camera, { rows, appearance }) {
       rows[10 * live + 3] = opacity;
       for (const square of [4, 7, 9]) rows[10 * live + square] += extra;
       if (degree === null) appearance.set(colors.subarray(stride * row, stride * row + 3), 3 * live);
-      else writeColor(normalized(times(toSh, [x - eye[0], y - eye[1], z - eye[2]])), degree, colors, stride * row, appearance, 3 * live);
+      else writeColor(toSh, x - eye[0], y - eye[1], z - eye[2], degree, colors, stride * row, appearance, 3 * live);
       live += 1;
     }
   }

@@ -2,7 +2,7 @@
 
 import { GsgenError } from "../errors.js";
 import { writeColor } from "../harmonics.js";
-import { linearPart, normalized, placeRow, plus, relativeStretch, solve, times } from "../matrices.js";
+import { linearPart, placeRow, plus, relativeStretch, solve } from "../matrices.js";
 
 /**
  * Four numbers of each Gaussian.
@@ -81,13 +81,13 @@ export class Ellipsoids {
     const { _channels: channels, _colored: stored, _transform: m } = this;
     // Where directions count, they are of each row's place: other rows have other colours.
     if (!degree && stored.appearance === appearance && stored.hasEye === hasEye && live <= stored.live) return;
-    const own = degree ? solve(linearPart(m), plus([...eye], -1, [m[3], m[7], m[11]])) : null;
+    const own = degree ? solve(linearPart(m), plus([...eye], -1, [m[3], m[7], m[11]])) : [0, 0, 0];
     for (let row = 0; row < live; row++) {
       const [from, to] = [channels * row, 4 * row];
       if (degree === null) for (let part = 0; part < 3; part++) colors[to + part] = appearance[from + part];
       else {
-        const ahead = own ? [rows[10 * row] - own[0], rows[10 * row + 1] - own[1], rows[10 * row + 2] - own[2]] : UP;
-        writeColor(normalized(times(this._toHarmonics, ahead)), degree, appearance, from, colors, to);
+        const at = 10 * row;
+        writeColor(this._toHarmonics, rows[at] - own[0], rows[at + 1] - own[1], rows[at + 2] - own[2], degree, appearance, from, colors, to);
       }
       for (let part = to; part < to + 3; part++) {
         colors[part] = colors[part] > 0 ? (this._isLinear ? encoded(colors[part]) : colors[part]) : 0;
@@ -100,7 +100,6 @@ export class Ellipsoids {
 /** Return an sRGB colour of linear light (IEC 61966-2-1). */
 const encoded = (light) => (light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055);
 
-const UP = [0, 0, 1];
 const placed = new Float64Array(10); // a row in the world
 
 /**
