@@ -5,7 +5,10 @@ __all__ = ["arrange_options", "escape_markup"]
 from typing import Any, Final
 
 OPTION_PANELS: Final[dict[str, tuple[str, ...]]] = {
-    "Camera": ("camera", "width", "height", "size", "fov", "up", "orthographic", "panorama"),
+    "Camera": (
+        "camera", "width", "height", "size", "fov", "up", "orthographic", "panorama", "stereo",
+        "eye_distance",
+    ),
     "Picture": (
         "mode", "background", "sh_degree", "antialias", "rasteriser", "compact", "wsr", "post",
         "bits",

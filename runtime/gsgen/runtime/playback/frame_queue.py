@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -112,26 +113,28 @@ class FrameQueue:
     def __len__(self) -> int:
         return len(self._queued_frames)
 
-    def submit(self, camera: Camera) -> None:
-        """Begin to draw the scene as a camera sees it.
+    def submit(self, camera: Camera, right: Camera | None = None) -> None:
+        """Begin to draw the scene as a camera sees it; frames with a ``right`` eye are waited for.
 
         Raises:
             GsgenError: See :meth:`gsgen.runtime.renderer.renderer.Renderer.render`.
         """
         draw = self._renderer.render if self.waits else self._renderer.submit
+        if right is not None:
+            draw = partial(self._renderer.render, right=right)
         with self._update_statistics():
             frame = draw(self._scene, camera, background=self._background, outputs=self._outputs)
         self._queued_frames.append((frame, self._data_states()))
         self.statistics.in_flight = max(self.statistics.in_flight, len(self))
 
-    def try_submit(self, camera: Camera) -> bool:
+    def try_submit(self, camera: Camera, right: Camera | None = None) -> bool:
         """Begin to draw the scene; return False if there is no memory for another frame in flight.
 
         Raises:
             GsgenError: See :meth:`submit`; of a lack of memory only if the queue waits.
         """
         try:
-            self.submit(camera)
+            self.submit(camera, right)
         except MemoryFull:
             if self.waits:
                 raise

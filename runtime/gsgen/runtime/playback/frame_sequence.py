@@ -3,6 +3,7 @@
 __all__ = ["FULL_TURN_DEGREES", "FrameSequence"]
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, final
 
@@ -19,6 +20,7 @@ from gsgen.runtime.playback.player import FrameRequest
 from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline, camera_time_tracks
 from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.eyes import pair_of_eyes
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.source import Source
 
@@ -43,6 +45,8 @@ class FrameSequence(Playback):
         turn: Degrees that an orbit turns over all frames; None for a full turn if nothing else
             moves.
         tracks: Values of other inputs.
+        eye_distance: Metres from a left to a right eye, whose images stand side by side; None for
+            one camera. A scene that does not tell the length of its unit is taken to be in metres.
         renderer: Draws the frames; a new one by default.
 
     Attributes:
@@ -70,6 +74,7 @@ class FrameSequence(Playback):
         fps: float | None = None,
         tracks: Sequence[Track] = (),
         post: Sequence[PostProcessor] = (),
+        eye_distance: float | None = None,
         renderer: Renderer | None = None,
     ) -> None:
         if turn is not None and not np.isfinite(turn):
@@ -93,6 +98,13 @@ class FrameSequence(Playback):
             antialias=antialias,
         )
         self._view, self._output_mode, self.notes = view, mode, view.notes + notes
+        metres_per_unit = metres_of_unit(sources)
+        self._eye_distance = eye_distance and eye_distance / (metres_per_unit or 1.0)
+        if eye_distance is not None and metres_per_unit is None:
+            self.notes += (
+                "no scene tells the length of its unit, which is taken to be a metre: "
+                "--eye-distance changes the distance of the eyes",
+            )
         is_moving = timeline.is_animated or view.keys is not None
         is_camera_turning = self.frames > 1 and view.orbit is not None and not is_moving
         self._turn_degrees = (
@@ -113,7 +125,11 @@ class FrameSequence(Playback):
         """Return the camera and the input values of frame ``number``, from 0."""
         turn = self._turn_degrees * number / self.frames
         view = self._view.at(number, self.frames)
-        return self.request(view.camera(self.sources[0], number, turn), number)
+        camera = view.camera(self.sources[0], number, turn)
+        if self._eye_distance is None:
+            return self.request(camera, number)
+        left, right = pair_of_eyes(camera, self._eye_distance)
+        return replace(self.request(left, number), right=right)
 
     def frame_requests(self) -> Iterator[FrameRequest]:
         """Yield the camera and the input values of all frames, in order."""
@@ -172,7 +188,8 @@ class FrameSequence(Playback):
     def _draw_frames(self, on_frame: Callable[[int], None]) -> Iterator[Frame]:
         on_frame(1)
         if self.frames > 1 and any(source.pools for source in self.sources):
-            cameras = [request.camera for request in self.frame_requests()]
+            requests = list(self.frame_requests())
+            cameras = [eye for entry in requests for eye in (entry.camera, entry.right) if eye]
             for source in self.sources:
                 source.expect(cameras)
         for number, frame in enumerate(self.player.play(self.frame_requests())):
@@ -216,6 +233,14 @@ class FrameSequence(Playback):
             "growths": self.player.statistics.growths,
             "redrawn": self.player.statistics.redrawn,
         }
+
+
+def metres_of_unit(sources: Sequence[Source]) -> float | None:
+    """Return the metres of a unit of length, as the first model that tells them does; or None."""
+    for space in (source.space for source in sources):
+        if space is not None and (space.metres_per_unit or space.unit == "metre"):
+            return space.metres_per_unit or 1.0
+    return None
 
 
 def _differing_sizes(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:

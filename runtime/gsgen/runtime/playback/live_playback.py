@@ -177,9 +177,10 @@ class LivePlayback(Playback):
 
     def _playback_moment_key(self, camera: Camera) -> object:
         """Return a key that changes when the models must compute a new frame."""
+        number = self.number if any(source.inputs for source in self.sources) else 0
         if not any(source.follows_camera for source in self.sources):
-            return 0
-        return self.number, camera.view.tobytes(), camera.intrinsics
+            return number
+        return number, camera.view.tobytes(), camera.intrinsics
 
     def _data_versions(self) -> list[tuple[int, ...]]:
         return [source.state for source in self.sources]

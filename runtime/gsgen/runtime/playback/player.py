@@ -5,11 +5,12 @@ __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 import math
 import os
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self, final
+from typing import TYPE_CHECKING, Literal, Self, TypeVar, final
 
 import numpy as np
 
@@ -21,12 +22,15 @@ from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.renderer.late_counts import MAX_FRAMES_IN_FLIGHT
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.eyes import beside, eye_frames
 from gsgen.runtime.scene.frame import COLOR_OUTPUT_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource, Source, Values
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.confined.models import ConfinedModels
+
+AnyCamera = TypeVar("AnyCamera", Camera, Camera | None)
 
 _TRANSPARENT_RGBA = (0.0, 0.0, 0.0, 0.0)
 
@@ -41,11 +45,13 @@ class FrameRequest:
         values: Tensor name or role → value, for each source in order, then for each post-process
             model. Absent inputs keep their value.
         number: Frame number in error messages; None for the count of earlier frames.
+        right: Camera of a right eye, whose image stands at the right of that of ``camera``.
     """
 
     camera: Camera
     values: Sequence[Values] = ()
     number: int | None = None
+    right: Camera | None = None
 
 
 @final
@@ -115,13 +121,17 @@ class Player:
         Raises:
             GsgenError: A value does not fit or a model fails; the error names model, input, frame.
         """
+        eyes = self._separate_eyes(request)
+        if len(eyes) > 1:
+            return beside(*map(self.render, eyes))
         number = self._start_frame(request)
         self._finish_sources()
         frame = self.renderer.render(
             self.scene,
-            self._drawn_camera(request),
+            self._drawn_camera(request.camera),
             background=self._background,
             outputs=self._outputs,
+            right=self._drawn_camera(request.right),
         )
         return self._post_process(frame, request, number)
 
@@ -134,6 +144,26 @@ class Player:
         Raises:
             GsgenError: See :meth:`render`; raised when the frame's turn comes.
         """
+        eye_counts = deque[int]()
+
+        def requests_of_eyes() -> Iterator[FrameRequest]:
+            for request in requests:
+                eyes = self._separate_eyes(request)
+                eye_counts.append(len(eyes))
+                yield from eyes
+
+        with closing(self._play(requests_of_eyes())) as frames:
+            for frame in frames:
+                yield beside(frame, next(frames)) if eye_counts.popleft() > 1 else frame
+
+    def _separate_eyes(self, request: FrameRequest) -> list[FrameRequest]:
+        """Return a request for each eye if sources compute others Gaussians for each; or itself."""
+        if request.right is None or not any(source.follows_camera for source in self._sources):
+            return [request]
+        return [replace(request, camera=eye, right=None) for eye in (request.camera, request.right)]
+
+    def _play(self, requests: Iterable[FrameRequest]) -> Generator[Frame]:
+        """Yield the frame of each request; see :meth:`play`."""
         queue = FrameQueue(self.renderer, self.scene, self._background, self._outputs)
         self.statistics = queue.statistics
         max_in_flight = self._max_frames_in_flight()
@@ -186,32 +216,33 @@ class Player:
                 frame = next(computed, None)
                 if frame is None:
                     break
-                camera = self._drawn_camera(frame[0])
-                if not queue.try_submit(camera):
+                camera = self._drawn_camera(frame[0].camera)
+                right = self._drawn_camera(frame[0].right)
+                if not queue.try_submit(camera, right):
                     yield from take(0)
                     queue.waits, max_in_flight = True, 1
-                    queue.submit(camera)
+                    queue.submit(camera, right)
             except Exception:
                 yield from take(0)  # the error is of a later frame
                 raise
             submitted_requests.append(frame)
-            yield from take(max_in_flight - 1)
+            yield from take(0 if frame[0].right else max_in_flight - 1)
         yield from take(0)
 
     def _start_frame(self, request: FrameRequest) -> int:
         """Begin to compute a frame, and return its number."""
         number = self._started_count if request.number is None else request.number
         self._started_count += 1
-        camera = self._drawn_camera(request)
+        camera = self._drawn_camera(request.camera)
         for source, values in zip(self._sources, _padded_values(request.values), strict=False):
             source.start(camera, values, number)
         return number
 
-    def _drawn_camera(self, request: FrameRequest) -> Camera:
+    def _drawn_camera(self, camera: AnyCamera) -> AnyCamera:
         """Return the camera of a frame before post-process models enlarge it."""
-        return (
-            _reduced(request.camera, self._enlargement) if self._enlargement > 1 else request.camera
-        )
+        if camera is None or self._enlargement == 1:
+            return camera
+        return _reduced(camera, self._enlargement)
 
     def _finish_sources(self) -> None:
         for source in self._sources:
@@ -219,6 +250,10 @@ class Player:
 
     def _post_process(self, frame: Frame, request: FrameRequest, number: int) -> Frame:
         """Return a frame whose colours the post-process models have changed."""
+        if request.right is not None and self._post_processors:
+            alone = replace(request, right=None)
+            eyes = [self._post_process(eye, alone, number) for eye in eye_frames(frame)]
+            return beside(*eyes)
         post_values = _padded_values(request.values[len(self._sources) :])
         for model, values in zip(self._post_processors, post_values, strict=False):
             try:

@@ -8,6 +8,7 @@ __all__ = [
     "PairsExceeded",
     "band_rows",
     "draw_bands",
+    "side_by_side",
 ]
 
 from collections.abc import Callable
@@ -33,6 +34,16 @@ CountsAndImages = tuple[np.ndarray, dict[str, np.ndarray]]
 
 class PairsExceeded(CapacityExceeded):
     """Raised if the splat-tile pairs of an image, or of a band of it, exceed a GPU binding."""
+
+    @classmethod
+    def of(cls, pairs: int, max_pairs: int, device: Device) -> "PairsExceeded":
+        """Return the error of an image that needs more pairs than a device holds."""
+        return cls(
+            f"the image needs {pairs:,} pairs of a splat and a tile; "
+            f"{device.name} holds at most {max_pairs:,}",
+            where="scene",
+            hint="Draw a smaller image, or step back from the largest Gaussians.",
+        )
 
 
 @final
@@ -92,6 +103,12 @@ class DrawnImage:
             pairs=int(counts[Counts.PAIRS]),
             first=band.first,
         )
+
+
+def side_by_side(left: CountsAndImages, right: CountsAndImages) -> CountsAndImages:
+    """Return the larger of the counts of two eyes, and their images side by side."""
+    images = {name: np.concatenate([image, right[1][name]], 1) for name, image in left[1].items()}
+    return np.maximum(left[0], right[0]), images
 
 
 @final
@@ -177,7 +194,7 @@ def draw_bands(
             return counts, parts
         for name, part in parts.items():
             if name not in images:
-                images[name] = np.empty((camera.height, camera.width, 4), np.uint32)
+                images[name] = np.empty((camera.height, *part.shape[1:]), np.uint32)
             images[name][first : first + band.rows] = part
         if first > 0:
             counts[[Counts.VISIBLE, Counts.PAIRS]] += total[[Counts.VISIBLE, Counts.PAIRS]]

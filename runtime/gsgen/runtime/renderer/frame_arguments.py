@@ -1,8 +1,9 @@
 """Checks the arguments of a frame: its scene, background and outputs."""
 
-__all__ = ["checked", "memory_error"]
+__all__ = ["checked", "have_one_order", "memory_error"]
 
 from collections.abc import Collection, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from gsgen.runtime.gpu.splat_residency import bytes_of
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import OUTPUTS, Output
 from gsgen.runtime.scene.scene import Scene
+
+_LEVEL: Final = 1e-9  # of the distance of two eyes: how far they may be above or behind each other
 
 
 def checked(
@@ -38,6 +41,25 @@ def checked(
     if published:
         _require_only_weighted(scene)
     return requested, _premultiply_background(background)
+
+
+def have_one_order(scene: Scene, left: Camera, right: Camera, outputs: frozenset[Output]) -> bool:
+    """Return whether one sort of a scene's splats serves the images of both eyes.
+
+    Eyes that look the same way, from places beside each other, see a splat at one z. Distances, as
+    of a fisheye, differ; cells, pools and normals are drawn for one eye at a time.
+    """
+    shift = left.view[:3, :3] @ (right.eye - left.eye)
+    return (
+        np.array_equal(left.view[:3, :3], right.view[:3, :3])
+        and bool(np.abs(shift[1:]).max() <= _LEVEL * abs(shift[0]))
+        and (left.intrinsics, left.near, left.dilation)
+        == (right.intrinsics, right.near, right.dilation)
+        and left.kind == "pinhole"
+        and "normal" not in outputs
+        and not scene.pools
+        and all(splat_set.weighted is None for splat_set in scene.sets)
+    )
 
 
 def memory_error(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:

@@ -3,6 +3,8 @@
 __all__ = ["Plan"]
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -27,7 +29,7 @@ from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, CountsAndImages
 from gsgen.runtime.renderer.frame_images import CountedItems, FrameReadback
-from gsgen.runtime.renderer.kernel_set import RECORD_BYTES, Kernels
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import (
     PlacedPage,
     scene_order,
@@ -37,7 +39,16 @@ from gsgen.runtime.renderer.placed_pages import (
 )
 from gsgen.runtime.renderer.plan_options import ImageSpec, RasterMethod
 from gsgen.runtime.renderer.slabs import Slabs, SlabState, draw_parts
-from gsgen.runtime.renderer.tile_lists import TileLists, allocate_columns, list_splats
+from gsgen.runtime.renderer.tile_lists import (
+    EyeSplats,
+    SplatArrays,
+    TileBlending,
+    TileLists,
+    allocate_columns,
+    draw_eyes,
+    draw_tiles,
+    stages_of_eye,
+)
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -57,7 +68,7 @@ class Plan:
 
     Attributes:
         image: The images to draw.
-        stages: Steps of a frame, by stage.
+        stages: Steps of a frame, by stage; those of a right eye are drawn after the left one.
         buffers: Buffers of the plan, by name.
         clears: Buffers whose bytes are zero at the start of a frame, from an offset on; None for
             all further bytes.
@@ -101,8 +112,6 @@ class Plan:
         initial_counts = counting.initial(n, method.pair_capacity, panorama=image.panorama)
         device.write(self._counts, initial_counts)
         self._counters = {"counts": self._counts}
-        self._records = kernels.records(n)
-        self._projected_buffers, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame_uniform, "bare frame": self._black_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
@@ -169,13 +178,9 @@ class Plan:
         self.buffers[name] = self._device.storage(name, size, extra_usage=extra_usage)
         return self.buffers[name]
 
-    def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Return two lists of projected splats' GPU buffers: to write to, and to blend from."""
-        if not self._records:
-            arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
-            return arrays, arrays
-        records = self._storage("shapes", RECORD_BYTES * n)
-        return [records, self._storage("weights", 0)], [records, records]
+    def _shared_storage(self, name: str, size: int) -> Buffer:
+        """Return the buffer of this name, which another eye uses, too, or a new one."""
+        return self.buffers[name] if name in self.buffers else self._storage(name, size)
 
     def _cleared_buffers(self) -> list[tuple[Buffer, int, int | None]]:
         """Return GPU buffers to clear before a frame, with offset and size; stages add others."""
@@ -192,48 +197,44 @@ class Plan:
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         a, b = (allocate_columns(self._storage, f"Gaussians {side}", n) for side in "ab")
-        colors = self._storage("colors", VEC4 * n)
-        low_keys = self._storage("lows", (8 if self._kernels.lists else 4) * n)
+        splats = SplatArrays(self._kernels, self._storage, n, self.image.eyes)
+        self._records = splats.records
         normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
         digits = self._first_digits()
-        stages = self._project(placed, a.keys, colors, low_keys, normals, digits[:1])
+        stages = self._project(placed, a.keys, splats.written, normals, digits[:1])
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
-        stages["sort"], order = self._sort_by_depth((a, b), low_keys, digits)
+        stages["sort"], order = self._sort_by_depth((a, b), splats.low_keys, digits)
         # Stage 3, by the hardware: quads need no tiles, so colours are complete here.
         if quads and "color" in outputs:
-            self._quads_step = self._draw_quads(order, colors)
+            self._quads_step = self._draw_quads(order, splats.of_eye(0))
             outputs = outputs - {"color"}
-        if not outputs:
-            return stages
-        # Stages 3 and 4, by tiles: list the splats of each tile, in order of depth.
-        tile_stages, members, cleared_buffers = list_splats(
-            self._kernels,
-            TileLists(
-                storage=self._storage,
+        # Stages 3 to 5, by tiles, for each eye.
+        for eye in range(self.image.eyes) if outputs else ():
+            lists = TileLists(
+                storage=self._shared_storage,
                 frame=self._frame_uniform,
                 counts=self._counts,
                 order=order,
-                tiles_of=low_keys if self._kernels.lists else colors,
-                splats=self._splats,
+                splats=splats.of_eye(eye),
                 ranges=self._ranges,
                 scratch_buffer=a.keys,
                 gaussians=n,
                 pair_capacity=self._rasterisation.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],
-            ),
-            panorama=self.image.panorama,
-            records=self._records,
-        )
-        stages |= tile_stages
-        self.buffer_clears += [(buffer, 0, None) for buffer in cleared_buffers]
-        # Stage 5: blend each tile, once per output.
-        if "color" in outputs:
-            stages["blend"] = [self._blend("color", members, colors)]
-        if "depth" in outputs:
-            ids = colors if self.slabs is None else self.slabs.taker_ids
-            stages["depth"] = [self._blend("depth", members, ids)]
-        if normals is not None:  # they are blended like colours
-            stages["normal"] = [self._blend("normal", members, normals)]
+            )
+            blending = TileBlending(
+                image=self.image,
+                outputs=outputs,
+                bare_frame=self._black_frame,
+                normals=normals,
+                layers=self._layers,
+                has_slabs=self.slabs is not None,
+                taker_ids=None if self.slabs is None else self.slabs.taker_ids,
+            )
+            drawn = draw_tiles(self._kernels, lists, blending, records=self._records)
+            stages |= stages_of_eye(eye, drawn.stages)
+            self.images |= drawn.images
+            self.buffer_clears += [(buffer, 0, None) for buffer in drawn.cleared]
         return stages
 
     def _allocate_input_layers(self, count: int) -> Layers:
@@ -250,7 +251,7 @@ class Plan:
         )
         return list(self._meshes.layers)
 
-    def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
+    def _draw_quads(self, order: Buffer, splats: EyeSplats) -> QuadsStep:
         kernel = self._kernels.quads(
             has_depth_test=self._meshes is not None,
             panorama=self.image.panorama,
@@ -258,7 +259,7 @@ class Plan:
         )
         size = self.image.size
         self.images["color"] = self._storage("color image", kernel.row_bytes(size[0]) * size[1])
-        resources = (self._frame_uniform, self._counts, order, *self._splats, colors)
+        resources = (self._frame_uniform, self._counts, order, *splats.vectors, splats.colors)
         image = self.images["color"]
         return kernel.step(size, resources, self._counts, image, self._meshes)
 
@@ -266,8 +267,7 @@ class Plan:
         self,
         placed: Sequence[PlacedPage],
         keys: Buffer,
-        colors: Buffer,
-        low_keys: Buffer,
+        splats: tuple[Buffer, ...],
         normals: Buffer | None,
         digits: tuple[Buffer, ...],
     ) -> dict[str, list[Step]]:
@@ -275,7 +275,7 @@ class Plan:
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
-        outputs = (self._frame_uniform, keys, *self._projected_buffers, colors, low_keys)
+        outputs = (self._frame_uniform, keys, *splats)
         if self.slabs is not None:
             steps = self.slabs.project_steps(
                 outputs,
@@ -296,11 +296,10 @@ class Plan:
         for slot, (_, page) in enumerate(placed):
             if page.slots is not None:
                 cull_kernel = self._kernels.cull_slots(page, projection=self.image.projection)
-                recorded_stages.append(
-                    cull_kernel.step(self._frame_uniform, keys, low_keys, self._slots, slot, page)
-                )
+                cull = (self._frame_uniform, keys, splats[-1], self._slots, slot, page)
+                recorded_stages.append(cull_kernel.step(*cull))
             kernel = self._kernels.project(
-                page, projection=self.image.projection, records=self._records
+                page, projection=self.image.projection, records=self._records, eyes=self.image.eyes
             )
             recorded_stages.append(kernel.step((*outputs, *digits), self._slots, slot, page))
         if normals is not None:
@@ -336,25 +335,6 @@ class Plan:
             n, self._counts, columns, low_keys, origins, spare_keys, has_histogram=digits
         )
 
-    def _blend(self, name: Output, members: Buffer, colors: Buffer) -> Step:
-        self.images[name] = self._storage(f"{name} image", VEC4 * self.image.pixels)
-        frame = self._frame_uniform if name == "color" else self._black_frame
-        resources = (frame, self._ranges, members, *self._splats, colors)
-        layers = self._layers
-        kernel = self._kernels.blend(
-            name,
-            panorama=self.image.panorama,
-            layers=layers.count if layers else 0,
-            records=self._records,
-            has_small_dilation=self.image.dilation == "small",
-            carried_layers=self.slabs is not None,
-        )
-        input_layers = None
-        if layers is not None:
-            layer_colors = layers.normals if name == "normal" else layers.colors
-            input_layers = (layer_colors, layers.depths)
-        return kernel.step(self._tiles, (*resources, self.images[name]), input_layers)
-
     def draw(
         self,
         placed: Sequence[PlacedPage],
@@ -364,11 +344,22 @@ class Plan:
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
         only: Sequence[str] | None = None,
+        right: Camera | None = None,
     ) -> CountsAndImages:
         """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
-        Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
+        Arguments, results and errors are those of :meth:`submit` and :meth:`collect`. Images of a
+        left and a ``right`` eye are side by side; of their counters the larger is returned.
         """
+        if right is not None:
+            eyes = band, replace(band, full_camera=right)
+
+            def draw_eye(eye: int, only: list[str]) -> CountsAndImages:
+                submit = partial(self.submit, placed, eyes[eye].camera, background, meshes=meshes)
+                submit(only=only, band=eyes[eye], right=right)
+                return self.collect()
+
+            return draw_eyes(self.stages, draw_eye)
 
         def run(only: Sequence[str] | None, state: SlabState) -> CountsAndImages:
             is_last = not (state.continues or (state.weighted and self._layers is not None))
@@ -408,6 +399,7 @@ class Plan:
         staging: StagingBuffers | None = None,
         band: Band | None = None,
         state: SlabState | None = None,
+        right: Camera | None = None,
     ) -> None:
         """Write the uniform buffers of a frame, and submit its GPU commands.
 
@@ -423,6 +415,7 @@ class Plan:
                 and images, in place of :meth:`collect`.
             band: The rows of a larger image that the plan draws, or None.
             state: The slab of depth that is drawn, or None.
+            right: The camera of the right eye of a pair, or None.
         """
         band, state = band or Band.of(camera), state or SlabState()
         device = self._device
@@ -434,7 +427,7 @@ class Plan:
         for buffer, color in ((self._frame_uniform, background), (self._black_frame, np.zeros(3))):
             uniform = frame_uniform(band.full_camera, color, first_row=band.first, rows=band.rows)
             device.write(buffer, state.write_uniform(uniform))
-        write_pages(device, placed, camera, self._slots)
+        write_pages(device, placed, camera, self._slots, right)
         if self._meshes is not None:
             device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):

@@ -10,7 +10,7 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.place_splats import PlaceSplatsKernel
-from gsgen.runtime.kernels.project.project import ProjectKernel
+from gsgen.runtime.kernels.project.project import Eyes, ProjectKernel
 from gsgen.runtime.kernels.project.project_cells import ProjectCells, SlabCells
 from gsgen.runtime.kernels.project.projections import Projection
 from gsgen.runtime.kernels.project.tally_keys import CountKeysKernel
@@ -107,6 +107,7 @@ class Kernels:
         projection: Projection,
         records: bool = False,
         slab: SlabPart | None = None,
+        eyes: Eyes = 1,
     ) -> ProjectKernel:
         """Return the kernel that projects the rows of a page to splats that are sorted."""
         return self._cached_kernel(
@@ -121,6 +122,7 @@ class Kernels:
             slab=slab,
             windows=self.lists,
             digits=self.sort.first_digits(KEY_BITS) if self.counts_keys and not slab else None,
+            eyes=eyes,
         )
 
     def project_weighted(

@@ -3,6 +3,7 @@
 __all__ = [
     "PlacedPage",
     "scene_order",
+    "scene_pages",
     "settings_set",
     "slot_rows",
     "sorted_pages",
@@ -18,11 +19,11 @@ from jaxtyping import UInt32
 from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.gpu.splat_residency import Page, Residency
 from gsgen.runtime.kernels.project.project import page_uniforms
 from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.scene import SplatSet
+from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSplatSet
 
@@ -44,6 +45,16 @@ def scene_order(placed: Sequence[PlacedPage]) -> UInt32[np.ndarray, " n"] | None
     return np.concatenate(page_parts).astype(np.uint32)
 
 
+def scene_pages(scene: Scene, residency: Residency) -> list[PlacedPage]:
+    """Return the GPU buffers (pages) of the splat sets of a scene, after uploading changes."""
+    sets = [(entry, page) for entry in scene.sets for page in residency.pages(entry.data)]
+    return sets + [
+        (settings_set(pooled), page)
+        for pooled in scene.pools
+        for page in residency.pool_pages(pooled.pool)
+    ]
+
+
 def slot_rows(page: Page) -> int:
     """Return the number of rows in a slot of the page's splat pool; 0 for a page without a pool."""
     return 0 if page.slots is None else page.slots.slot_rows
@@ -60,7 +71,11 @@ def sorted_pages(placed: Sequence[PlacedPage]) -> list[PlacedPage]:
 
 
 def write_pages(
-    device: Device, placed: Sequence[PlacedPage], camera: Camera, uniform: Buffer
+    device: Device,
+    placed: Sequence[PlacedPage],
+    camera: Camera,
+    uniform: Buffer,
+    right: Camera | None = None,
 ) -> None:
     """Write a frame's uniforms of the pages (GPU buffers) of sorted sets, and their slot tables.
 
@@ -69,6 +84,7 @@ def write_pages(
         placed: The pages.
         camera: Camera of the frame.
         uniform: Receives the uniforms of all pages.
+        right: Camera of the right eye, if ``camera`` is that of the left one.
     """
     pages, base = list[tuple[SplatSet, int, int, int]](), 0
     for splat_set, page in placed:
@@ -79,7 +95,7 @@ def write_pages(
             device.write(slots.table, table)
         pages.append((splat_set, base, page.capacity, live_rows))
         base += page.capacity
-    device.write(uniform, page_uniforms(pages, camera))
+    device.write(uniform, page_uniforms(pages, camera, right))
 
 
 def settings_set(pooled: PooledSplatSet) -> SplatSet:

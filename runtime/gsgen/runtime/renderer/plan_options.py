@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.kernels.project.project import Eyes
 from gsgen.runtime.kernels.project.projections import Projection, projection_of
 from gsgen.runtime.kernels.tiles.blend_tiles import MIN_DILATION
 from gsgen.runtime.renderer.slabs import WITHOUT_SLABS, SlabSizes
@@ -35,21 +36,24 @@ class ImageSpec:
         outputs: Requested outputs.
         projection: Where splats are projected to.
         dilation: The least dilation of cameras.
+        eyes: 2 if a right eye's images follow those of a left one, by one sort.
     """
 
     size: tuple[int, int]
     outputs: frozenset[Output] = frozenset(COLOR_OUTPUT_ONLY)
     projection: Projection = "plane"
     dilation: Dilation = "usual"
+    eyes: Eyes = 1
 
     @classmethod
-    def of(cls, camera: Camera, outputs: frozenset[Output]) -> "ImageSpec":
-        """Return the images of a camera."""
+    def of(cls, camera: Camera, outputs: frozenset[Output], eyes: Eyes = 1) -> "ImageSpec":
+        """Return the images of a camera, or of two eyes."""
         return cls(
             size=(camera.width, camera.height),
             outputs=outputs,
             projection=projection_of(camera),
             dilation="small" if camera.dilation < MIN_DILATION else "usual",
+            eyes=eyes,
         )
 
     def require_meshes(self) -> None:

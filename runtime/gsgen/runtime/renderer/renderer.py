@@ -4,6 +4,7 @@ __all__ = ["FIRST_PAIR_CAPACITY", "PAIR_CAPACITY_FACTOR", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Final, final
 
 import numpy as np
@@ -12,9 +13,10 @@ from gsgen.runtime.errors import DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.device import MAX_WORKGROUPS, Device
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
 from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.kernels.project.project import Eyes
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import LARGE_TILE
+from gsgen.runtime.kernels.shared.shader import EYE_ROWS, LARGE_TILE
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.bands import (
     Band,
@@ -24,14 +26,15 @@ from gsgen.runtime.renderer.bands import (
     PairsExceeded,
     band_rows,
     draw_bands,
+    side_by_side,
 )
-from gsgen.runtime.renderer.frame_arguments import checked, memory_error
+from gsgen.runtime.renderer.frame_arguments import checked, have_one_order, memory_error
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.frame_images import FrameReadback, frame_of
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import DelayedCounts, FrameInFlight, Readbacks
-from gsgen.runtime.renderer.placed_pages import PlacedPage, settings_set
+from gsgen.runtime.renderer.placed_pages import PlacedPage, scene_pages
 from gsgen.runtime.renderer.plan_options import ImageSpec, Rasteriser, RasterMethod
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption, choose, chosen_sort_config
 from gsgen.runtime.renderer.slabs import SlabSizes, extra_layers, max_slab_splats, max_sorted_rows
@@ -123,6 +126,7 @@ class Renderer:
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         outputs: Collection[Output] = COLOR_OUTPUT_ONLY,
+        right: Camera | None = None,
     ) -> Frame:
         """Draw a scene as a camera sees it, and return the images.
 
@@ -131,6 +135,8 @@ class Renderer:
             camera: The camera, with the image size.
             background: Red, green, blue and alpha of the background.
             outputs: Images to compute.
+            right: A right eye, whose images stand at the right of those of ``camera``. Splats that
+                both see at one depth are sorted once; else the eyes are drawn one by one.
 
         Raises:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
@@ -138,7 +144,7 @@ class Renderer:
             MemoryFull: The device has no memory for the scene or the image.
             SceneInvalid: ``background`` or ``outputs`` is invalid.
         """
-        counts, images = self._draw_images(scene, camera, background, outputs)
+        counts, images = self._draw_images(scene, camera, background, outputs, right)
         return frame_of(scene, camera, counts, images, float(background[3]))
 
     def submit(
@@ -247,16 +253,27 @@ class Renderer:
         return drawn
 
     def _draw_images(
-        self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
+        self,
+        scene: Scene,
+        camera: Camera,
+        background: Sequence[float],
+        outputs: Collection[Output],
+        right: Camera | None = None,
     ) -> CountsAndImages:
         """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
         requested, rgba = checked(scene, outputs, background, published=self._is_published)
         with self._device_errors(scene, camera):
             placed, meshes = self._upload_scene(scene)
+            if right is not None and not (
+                have_one_order(scene, camera, right, requested)
+                and self._rasteriser_of(requested) == "tiles"
+                and 2 * max_sorted_rows(placed) + EYE_ROWS <= self._max_slab_splats
+            ):
+                images = partial(self._draw_images, scene, background=background, outputs=outputs)
+                return side_by_side(images(camera), images(right))
 
             def draw(band: Band) -> CountsAndImages:
-                _, counts, images = self._redraw(scene, band, rgba, requested, placed, meshes)
-                return counts, images
+                return self._redraw(scene, band, rgba, requested, placed, meshes, right=right)[1:]
 
             rows = self._band_rows(scene, camera, len(requested))
             return draw_bands(
@@ -310,12 +327,15 @@ class Renderer:
         meshes: list[PlacedMesh],
         *,
         fetch: bool = True,
+        right: Camera | None = None,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         """Redraw until all splat-tile pairs fit their buffer and equal depth keys are ordered."""
         while True:
             # Step 1: draw with the present sizes of buffers.
-            plan = self.plan(placed, band.camera, requested, meshes)
-            counts, images = plan.draw(placed, band, rgba[:3], meshes=meshes, fetch=fetch)
+            plan = self.plan(placed, band.camera, requested, meshes, eyes=2 if right else 1)
+            counts, images = plan.draw(
+                placed, band, rgba[:3], meshes=meshes, fetch=fetch, right=right
+            )
             # Step 2: the counts tell if pairs, or the order of equal depths, are missing.
             try:
                 if not self._must_redraw(counts):
@@ -323,21 +343,22 @@ class Renderer:
                     return plan, counts, images
             except PairsExceeded:
                 # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
-                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed):
+                is_divisible = fetch and band.rows > LARGE_TILE
+                if is_divisible or right is not None or not self._halve_slabs(placed):
                     raise
                 continue
             # Step 3: rows that were rearranged in memory, and share a depth, return to their own order.
             if counts[Counts.TIED]:
                 for splat_set in scene.sets:
                     self._residency.restore_order(splat_set.data)
-                placed[:] = self._pages(scene)
+                placed[:] = scene_pages(scene, self._residency)
 
     def _draw_with_late_counts(
         self, scene: Scene, camera: Camera, rgba: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
         """Draw a frame with an earlier frame's buffer sizes; if unknown, wait for the GPU."""
         for parts in self.late_counts.read():
-            self._read_late_counts(parts)
+            self._is_incomplete(frame_counts(self.device, self._kernels, parts))
         placed, meshes = self._upload_scene(scene)
         plan = self.plan(placed, camera, requested, meshes)
         if self._steady_counts is None or not self._has_steady_counts(plan):
@@ -360,10 +381,6 @@ class Renderer:
             and self._steady_counts is not None
             and self._steady_counts[0] == self._plan_shape
         )
-
-    def _read_late_counts(self, parts: list[np.ndarray]) -> bool:
-        """Read an earlier frame's counters; return whether splats were missing or unsorted."""
-        return self._is_incomplete(frame_counts(self.device, self._kernels, parts))
 
     def _is_incomplete(self, counts: np.ndarray) -> bool:
         """Return whether an earlier frame lacks splats or their order; enlarge small buffers."""
@@ -388,7 +405,7 @@ class Renderer:
         is_incomplete = False
         with self.device.translate_errors():
             for parts in self.late_counts.read(in_flight=0):
-                is_incomplete = self._read_late_counts(parts)
+                is_incomplete = self._is_incomplete(frame_counts(self.device, self._kernels, parts))
         if is_incomplete:
             self._steady_counts = None
         return is_incomplete
@@ -406,25 +423,12 @@ class Renderer:
         """Return the GPU buffers (pages) of each splat set of a scene, after uploading changes."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
-        return self._pages(scene)
-
-    def _pages(self, scene: Scene) -> list[PlacedPage]:
-        return [
-            (splat_set, page)
-            for splat_set in scene.sets
-            for page in self._residency.pages(splat_set.data)
-        ] + [
-            (settings_set(pooled), page)
-            for pooled in scene.pools
-            for page in self._residency.pool_pages(pooled.pool)
-        ]
+        return scene_pages(scene, self._residency)
 
     def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
         """Return each mesh of a scene with its GPU buffers, after uploading new meshes."""
-        return [
-            PlacedMesh(mesh, self._mesh_residency.buffers(mesh.data), scene.color_space)
-            for mesh in scene.meshes
-        ]
+        buffers = self._mesh_residency.buffers
+        return [PlacedMesh(mesh, buffers(mesh.data), scene.color_space) for mesh in scene.meshes]
 
     def plan(
         self,
@@ -432,6 +436,7 @@ class Renderer:
         camera: Camera,
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
+        eyes: Eyes = 1,
     ) -> Plan:
         """Return a frame's recorded GPU work: the last one if only buffer values changed."""
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
@@ -440,7 +445,7 @@ class Renderer:
         if rows != self._rows:
             # Others may have depths farther apart, or fewer pairs.
             self._rows, self._has_deep_tiles, self._slab_limit = rows, False, _UNLIMITED_SPLATS
-        image = ImageSpec.of(camera, outputs)
+        image = ImageSpec.of(camera, outputs, eyes)
         if meshes:
             image.require_meshes()
         self._plan_shape = (contents, image)
@@ -486,11 +491,6 @@ class Renderer:
         """Increase the capacity for splat-tile pairs; raise if the device cannot hold as many."""
         max_pairs = self._max_pairs
         if pairs > max_pairs:
-            raise PairsExceeded(
-                f"the image needs {pairs:,} pairs of a splat and a tile; "
-                f"{self.device.name} holds at most {max_pairs:,}",
-                where="scene",
-                hint="Draw a smaller image, or step back from the largest Gaussians.",
-            )
+            raise PairsExceeded.of(pairs, max_pairs, self.device)
         before, self._pairs = self._pairs, min(int(pairs * PAIR_CAPACITY_FACTOR), max_pairs)
         self.growths += self._pairs > before

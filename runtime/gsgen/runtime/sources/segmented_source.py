@@ -129,6 +129,11 @@ class SegmentedSource(Source):
         if not opened.cancel() and opened.exception() is None:
             opened.result().close()
 
+    @property
+    def follows_camera(self) -> bool:
+        """Whether the shown segment's Gaussians depend on the camera."""
+        return self._source(self._index()).follows_camera
+
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Begin to compute the moment of a time in seconds."""
         value = values.get("time", self._time)

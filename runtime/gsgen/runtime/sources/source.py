@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.manifest import Input, Space, WeightedSum
 from gsgen.formats import FormatError, FormatWarning, PackedRows, PointCloud, Splats, open_splats
 from gsgen.formats.shared.notices import MeshWarning
@@ -172,7 +173,7 @@ class Source(ABC):
     @property
     def follows_camera(self) -> bool:
         """Whether the source of Gaussians must compute a new frame when the camera moves."""
-        return bool(self.inputs)
+        return any(spec.role in CAMERA_ROLES for spec in self.inputs)
 
     @property
     def is_streaming(self) -> bool:

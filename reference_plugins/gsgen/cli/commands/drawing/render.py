@@ -66,6 +66,22 @@ WaitOption = Annotated[
 AllowMissing = Annotated[
     bool, typer.Option("--allow-missing", help="Exit 0 although tiles of a tileset are missing.")
 ]
+Stereo = Annotated[
+    bool,
+    typer.Option(
+        "--stereo",
+        help="Draw a left and a right eye, which look the same way, side by side; --size is that of "
+        "one eye.",
+    ),
+]
+EyeDistance = Annotated[
+    float,
+    typer.Option(
+        help="Metres between the eyes of --stereo; models tell the length of their unit, other "
+        "scenes are taken to be in metres.",
+        min=1e-6,
+    ),
+]
 WeightedSums = Annotated[
     Literal["contract", "published"],
     typer.Option(
@@ -87,6 +103,8 @@ def render(
     up: options.Axis = None,
     orthographic: options.Orthographic = False,
     panorama: options.Panorama = False,
+    stereo: Stereo = False,
+    eye_distance: EyeDistance = 0.063,  # the mean of grown people (Dodgson 2004)
     mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
@@ -186,6 +204,7 @@ def render(
             fps=fps or pose_fps,
             tracks=tracks,
             post=models,
+            eye_distance=eye_distance if stereo else None,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):

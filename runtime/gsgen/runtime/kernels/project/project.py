@@ -5,6 +5,7 @@ __all__ = [
     "NO_HARMONICS",
     "PAGE",
     "SPLAT_RADIUS_SIGMAS",
+    "Eyes",
     "ProjectKernel",
     "frame_uniform",
     "page_uniform",
@@ -30,6 +31,9 @@ from gsgen.runtime.scene.scene import SplatSet
 
 SPLAT_RADIUS_SIGMAS: Final = 3.0
 """Radius of a splat in a weighted sum, in standard deviations (Liu et al. 2025, their code)."""
+
+Eyes = Literal[1, 2]
+"""Whether splats are those of one camera, or of a left and a right eye that look the same way."""
 
 NO_HARMONICS: Final = 0xFF
 """The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
@@ -104,6 +108,8 @@ PAGE: Final = _uniform_dtype(
         "eye_at": ("3f4", 272),
         "zero": ("u4", 284),
         "eye_at_rest": ("3f4", 288),
+        "eye_distance": ("f4", 300),
+        "to_right_eye": ("3f4", 304),
     },
 )
 """The bytes of ``struct Page`` in page.wgsl."""
@@ -161,7 +167,7 @@ def page_uniform(
 
 
 def page_uniforms(
-    pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
+    pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera, right: Camera | None = None
 ) -> Shaped[np.ndarray, " n"]:
     """Return the uniform data of GPU pages of Gaussians (WGSL struct ``Page``), from float64.
 
@@ -171,6 +177,7 @@ def page_uniforms(
         pages: For each page its set, the index of its first Gaussian in the frame, its capacity
             and its number of live Gaussians.
         camera: Camera of the frame.
+        right: Camera of the right eye, if ``camera`` is that of the left one.
     """
     uniforms = np.zeros(len(pages), PAGE)
     if not pages:
@@ -195,6 +202,10 @@ def page_uniforms(
     eye_in_camera = -(camera_from_model @ eye_remainder[:, :, None])[:, :, 0]
     uniforms["eye_at"] = eye_in_camera
     uniforms["eye_at_rest"] = eye_in_camera - uniforms["eye_at"].astype(np.float64)
+    if right is not None:
+        to_right = np.linalg.solve(linear, (right.eye - camera.eye)[:, None])[:, :, 0]
+        uniforms["to_right_eye"] = to_right
+        uniforms["eye_distance"] = camera.view[0, :3] @ (right.eye - camera.eye)
     clip_boxes = [splat_set.rows_clip for splat_set in sets]
     uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clip_boxes]
     uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clip_boxes]
@@ -249,6 +260,7 @@ class ProjectKernel:
         slab: Literal["keys", "splats"] | None = None,
         windows: bool = False,
         digits: FirstDigits | None = None,
+        eyes: Eyes = 1,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         if slab == "splats":
@@ -276,6 +288,7 @@ class ProjectKernel:
             PACKED=packed,
             SPLAT_REACH=SPLAT_RADIUS_SIGMAS,
             WINDOWS=windows,
+            EYES=eyes,
             **projection_constants(projection),
             **({"DRAWN": int(Counts.DRAWN)} if weighted else {}),
             **(digits.constants if digits else {}),

@@ -69,9 +69,21 @@ fn tiles_touched(ellipse: Outline) -> u32 {
     return tiles;
 }
 
+// Write a splat at `index` that touches no tile.
+fn write_empty(index: u32) {
+    let empty = quad_of(vec4f(0.0, -LARGEST, 0.0, 0.0));
+    if (RECORDS) {
+        shapes[weight_at(index)] = empty;
+    } else {
+        weights[index] = empty;
+    }
+    colors[index] = quad_of(vec4f(0.0));
+}
+
 // Write the splat of row `own` at `index` and return its key, or ABSENT if it is not drawn.
-// at: the centre in camera space; distance: the depth that flatten() takes.
-fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
+// offset: of the centre from the eye, in local space; at: the centre in camera space; distance: the
+// depth that flatten() takes.
+fn write_splat(own: u32, index: u32, offset: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
     // Step 1: drop transparent Gaussians.
     if (!(alpha >= CULL_OPACITY && alpha <= LARGEST)) {
         return ABSENT;
@@ -112,7 +124,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     } else {
         tiles = tiles_touched(ellipse);
     }
-    let color = color_of(own, offset_from_eye(position));
+    let color = color_of(own, offset);
     if (!all(abs(color) <= vec3f(LARGEST))) {
         return ABSENT;
     }

@@ -10,17 +10,18 @@ fn project_weighted_row(own: u32, index: u32) -> u32 {
     var key = ABSENT;
     if (own < page.count) {
         let center = read_center(own);
-        let at = page.linear * offset_from_eye(center.position);
+        let offset = offset_from_eye(center.position);
+        let at = page.linear * offset;
         let depth = depth_of(at);
         if (is_in_view(center.position, depth)) {
             let cell = (page.first_row + own) / page.per_cell - page.first_cell;
             var opacity = center.opacity * page.opacity_scale;
             opacity *= cells[5u * cell + 1u].y * (1.0 - depth * page.inverse_range);
-            key = write_splat(own, index, center.position, at, depth, depth, opacity);
+            key = write_splat(own, index, offset, at, depth, depth, opacity);
         }
     }
     if (key == ABSENT) {
-        weights[index] = quad_of(vec4f(0.0, -LARGEST, 0.0, 0.0));
+        write_empty(index);
     }
     return key;
 }

@@ -32,6 +32,9 @@ struct Page {
     eye_at: vec3f,        // the rounded `eye` in camera space …
     zero: u32,            // 0, which compilers cannot know
     eye_at_rest: vec3f,   // … and its rounding error
+    // Of a pair of eyes, of which `eye` is the left one:
+    eye_distance: f32,    // to the right eye, in camera space
+    to_right_eye: vec3f,  // in local space
 }
 
 @group(1) @binding(0) var<uniform> page: Page;

@@ -32,6 +32,8 @@ NOWHERE = 3.4e38
 """The depth of empty pixels of an image layer: farther than any splat."""
 MIN_EIGENVALUE_GAP = 0.1
 """Lower bound, in pixels⁴, of the squared half difference of a 2D covariance's eigenvalues."""
+EYE_ROWS = 64
+"""Splats of which those of an eye are a multiple: each device can bind their buffers in parts."""
 POLE = 1e-3
 """Lower bound of the cosine of the latitude in a panorama's Jacobian."""
 
@@ -40,6 +42,8 @@ _SHADER_CONSTANTS: dict[str, int | float | bool] = {
     "CULL_OPACITY": layout.CULL_OPACITY,
     "DILATION": DEFAULT_DILATION,
     "DISTORTED": False,
+    "EYES": 1,
+    "EYE_ROWS": EYE_ROWS,
     "FISHEYE": False,
     "MAX_ALPHA": MAX_ALPHA,
     "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,

@@ -5,7 +5,7 @@ __all__ = ["WALK_THREADS", "BinTiles"]
 from typing import Final, final
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.handles import Buffer, Resource
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.first_digits import FirstDigits
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
@@ -58,7 +58,7 @@ class BinTiles:
         )
 
     def steps(
-        self, counts: Buffer, resources: tuple[Buffer, ...], histogram: Buffer | None = None
+        self, counts: Buffer, resources: tuple[Resource, ...], histogram: Buffer | None = None
     ) -> tuple[Step, Step]:
         """Return the dispatches that count the image tiles of each splat, then list these tiles.
 

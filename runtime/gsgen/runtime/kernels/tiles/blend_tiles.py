@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.handles import Buffer, Resource
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.shared.subgroups import subgroup_size
@@ -173,7 +173,7 @@ class BlendTiles:
     def step(
         self,
         tiles: tuple[int, int],
-        resources: tuple[Buffer, ...],
+        resources: tuple[Resource, ...],
         layers: tuple[Buffer, Buffer] | None = None,
     ) -> Step:
         """Return the dispatch that blends the Gaussians of all tiles into an image.

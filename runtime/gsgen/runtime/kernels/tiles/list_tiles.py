@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.handles import Buffer, Resource
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS_PER_WORKGROUP, Kernel, Step
 
@@ -61,7 +61,7 @@ class ListTiles:
         )  # fmt: skip
 
     def steps(
-        self, tiles: int, walk_buffers: tuple[Buffer, ...], range_buffers: tuple[Buffer, ...]
+        self, tiles: int, walk_buffers: tuple[Resource, ...], range_buffers: tuple[Buffer, ...]
     ) -> tuple[Step, Step, Step, Step]:
         """Return the dispatches that list the sorted splats of each image tile by counting.
 
