@@ -63,6 +63,22 @@ def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
     assert (image.max(axis=(0, 2)) > 30).all()  # from the middle of the cloud: something all around
 
 
+def test_two_eyes_stand_side_by_side(folder: Path) -> None:
+    words = ("--stereo", "--eye-distance", "0.5", "--size", "24x20")
+    finished = drawn(folder, *words)
+    assert finished.code == 0, finished.err
+    assert "no scene tells the length of its unit, which is taken to be a metre" in finished.err
+    image = picture(folder)
+    assert image.shape == (20, 48, 3)
+    assert image[:, :24].max() > 100
+    assert not np.array_equal(image[:, :24], image[:, 24:])
+    for kind, reason in (("panorama", "looks to all sides"), ("orthographic", "no perspective")):
+        refused = drawn(folder, *words, f"--{kind}")
+        assert refused.code == 2
+        assert f"camera.kind: is {kind}, which" in refused.err
+        assert f"{reason}, expected a pinhole or a fisheye for two eyes" in refused.err
+
+
 def test_a_panorama_in_a_jpeg_says_so_to_viewers(folder: Path) -> None:
     words = ("--panorama", "--width", "64", "-o", "around.jpg")
     assert gsgen_here("render", "cloud.npz", *words, cwd=folder).code == 0

@@ -1,6 +1,6 @@
 """Draws every frame of a playback into an image file, a video or a folder."""
 
-__all__ = ["FULL_TURN_DEGREES", "FrameSequence"]
+__all__ = ["FULL_TURN_DEGREES", "FrameSequence", "metres_of_unit"]
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

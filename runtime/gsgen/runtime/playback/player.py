@@ -5,8 +5,7 @@ __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 import math
 import os
 from collections import deque
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
@@ -144,6 +143,10 @@ class Player:
         Raises:
             GsgenError: See :meth:`render`; raised when the frame's turn comes.
         """
+        queue = FrameQueue(self.renderer, self.scene, self._background, self._outputs)
+        self.statistics = queue.statistics
+        max_in_flight = self._max_frames_in_flight()
+        queue.waits = max_in_flight == 1
         eye_counts = deque[int]()
 
         def requests_of_eyes() -> Iterator[FrameRequest]:
@@ -152,24 +155,11 @@ class Player:
                 eye_counts.append(len(eyes))
                 yield from eyes
 
-        with closing(self._play(requests_of_eyes())) as frames:
+        try:
+            computed = self._compute_frames(requests_of_eyes())
+            frames = self._draw_computed(computed, queue, max_in_flight)
             for frame in frames:
                 yield beside(frame, next(frames)) if eye_counts.popleft() > 1 else frame
-
-    def _separate_eyes(self, request: FrameRequest) -> list[FrameRequest]:
-        """Return a request for each eye if sources compute others Gaussians for each; or itself."""
-        if request.right is None or not any(source.follows_camera for source in self._sources):
-            return [request]
-        return [replace(request, camera=eye, right=None) for eye in (request.camera, request.right)]
-
-    def _play(self, requests: Iterable[FrameRequest]) -> Generator[Frame]:
-        """Yield the frame of each request; see :meth:`play`."""
-        queue = FrameQueue(self.renderer, self.scene, self._background, self._outputs)
-        self.statistics = queue.statistics
-        max_in_flight = self._max_frames_in_flight()
-        queue.waits = max_in_flight == 1
-        try:
-            yield from self._draw_computed(self._compute_frames(requests), queue, max_in_flight)
         except KeyboardInterrupt:
             for source in self._sources:
                 source.interrupt()
@@ -177,6 +167,12 @@ class Player:
         finally:
             for source in self._sources:  # the caller may stop before the last frame
                 source.abandon()
+
+    def _separate_eyes(self, request: FrameRequest) -> list[FrameRequest]:
+        """Return a request for each eye if sources compute others Gaussians for each; or itself."""
+        if request.right is None or not any(source.follows_camera for source in self._sources):
+            return [request]
+        return [replace(request, camera=eye, right=None) for eye in (request.camera, request.right)]
 
     def _max_frames_in_flight(self) -> int:
         """Return how many frames may be in flight, for which all sources hold their arrays."""
