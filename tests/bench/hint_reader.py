@@ -1,7 +1,7 @@
 """A mechanical reader of hints: it does to a model what the words of a finding say, and no more.
 
 It runs the commands that a hint quotes, sets and removes the manifest fields whose paths it names,
-and returns the torch line that it gives. For other words, each entry of :data:`MENDS` is a pattern
+and adds the torch lines that it gives. For other words, each entry of :data:`MENDS` is a pattern
 and the edit that it asks for. Findings whose words match no pattern are not read.
 """
 
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import onnx
 import onnx.parser
-from torch_lines import LineWriter
+from torch_lines import add_line
 
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
 from gsgen.contract.validation.finding import Finding
@@ -432,37 +432,41 @@ LICENSE = {"license": "Apache-2.0", "tool": "exporter 1.2"}
 HALF, BYTE = np.float32([0.5]), np.float32([255])
 
 
-def torch_line(draft: Draft, match: re.Match[str]) -> None:
-    """Append the torch line that the hint gives to the output of the finding."""
-    name = draft.finding.where.subject.removeprefix("output ")
-    writer = LineWriter(draft.tensor(name).elem_type)
-    writer.line(match["line"])
-    draft.append_nodes(writer.nodes, name)
-    draft.add_weights(writer.weights)
+SET, LINE = re.compile(r"\bSet ([\w.-]+) to "), re.compile(r"`(\w+(?:\[[^`]*?\])? = [^`]+)`")
+REMOVE = re.compile(r"\b[Rr]emove (\w+(?:\.[\w-]+)+)[,.]")
 
 
-def set_path(draft: Draft, match: re.Match[str]) -> None:
-    """Write the JSON value that follows at a path of the manifest."""
-    value, _ = json.JSONDecoder().raw_decode(match.string, match.end())
-    part, key = parent_of(draft, match["path"])
-    if isinstance(part, dict) and value is not None:
-        part[key] = value
-    else:
-        part[key : key + 1] = [value]
-
-
-def remove_path(draft: Draft, match: re.Match[str]) -> None:
-    """Remove the field at a path of the manifest."""
-    part, key = parent_of(draft, match["path"])
-    part.pop(key)
+def exact_steps(draft: Draft) -> bool:
+    """Set the fields and add the lines that a hint gives, or else remove the field that it names."""
+    hint, steps = draft.finding.hint, 0
+    for match in SET.finditer(hint):
+        value, _ = json.JSONDecoder().raw_decode(hint, match.end())
+        part, key = parent_of(draft, match[1])
+        if isinstance(part, dict):
+            part[key] = value
+        else:
+            part[key : key + 1] = [value]
+        steps += 1
+    for match in LINE.finditer(hint):
+        subject = draft.finding.where.subject.removeprefix("output ")
+        outputs = {value.name for value in draft.model.graph.output}
+        declared = draft.manifest["outputs"]
+        roles = {"rows": "gaussians", "color": "appearance", "count": "count"}
+        roles = {word: declared[role]["name"] for word, role in roles.items() if role in declared}
+        if subject in outputs:
+            roles["rows"] = subject
+        add_line(draft.model, match[1], roles)
+        steps += 1
+    if not steps and (removal := REMOVE.search(hint)):
+        part, key = parent_of(draft, removal[1])
+        part.pop(key)
+        steps += 1
+    return steps > 0
 
 
 # Words of location, message and hint, and the edit that they ask for; the first match counts.
 MENDS: tuple[tuple[str, Edit], ...] = (
     (r'^(manifest )?input .*\| Declare "(?P<field>hop|range)": (?=[\[\d][^a-z]*[.,])', declare_field),
-    (r"^output .*\b(?:return|by the line)\s+`(?P<line>(color|torch)[^`]*)`[^|]*$", torch_line),
-    (r"\| [^|]*\bSet (?P<path>[\w.-]+) to (?=[^|]*$)", set_path),
-    (r"\| [^|]*\b[Rr]emove (?P<path>\w+(\.[\w-]+)+)[,.][^|]*$", remove_path),
     (r"a manifest (under the key|in the metadata of the graph)", embed_found),
     (r"key '\S+' is repeated.*expected one manifest|Keep one of the two", embed_once),
     (r"key \S+ is repeated within an object", lambda *_: None),  # the reader has kept the last
@@ -552,6 +556,8 @@ def run_commands(path: Path, hint: str) -> bool:
 
 def mend(draft: Draft) -> bool:
     """Edit a model as the finding's words say; return False if the reader does not know them."""
+    if exact_steps(draft):
+        return True
     finding = draft.finding
     text = f"{finding.where} | {finding.message} | {finding.hint}"
     for pattern, edit in MENDS:

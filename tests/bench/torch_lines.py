@@ -1,108 +1,166 @@
-"""Appends to a model the torch line that a hint gives, such as ``rows[:, :3] = rows[:, :3] / 255``.
+"""Adds to a model the torch lines that a hint gives, such as ``rows[:, :3] = rows[:, :3] / 255``.
 
-Every name stands for the output that the finding is about. Lines are parsed, never evaluated.
+A line that assigns to an input begins the module, one that assigns to an output ends it. Names are
+those of the graph; ``rows``, ``color``, ``count`` and ``cells`` are the outputs of these roles.
+Lines are interpreted, never evaluated: torch traces them, and the nodes of the trace join the graph.
 """
 
 import ast
-from collections.abc import Callable
+import io
+import operator
+import warnings
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 import onnx
+import torch
 
-OPERATORS = {ast.Add: "Add", ast.Sub: "Sub", ast.Mult: "Mul", ast.Div: "Div"}
-
-
-class LineWriter:
-    """Writes the ONNX nodes of one torch line.
-
-    Attributes:
-        nodes: The nodes, in order; ``old`` is the output before, and ``new`` after the line.
-        weights: Their constants by name.
-    """
-
-    def __init__(self, elem_type: int) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.weights: dict[str, np.ndarray] = {}
-        self._elem_type = elem_type
-
-    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """Append a node; return the name of its output."""
-        name = f"mend_{len(self.nodes)}"
-        self.nodes.append(onnx.helper.make_node(operator, inputs, [name], **attributes))  # noqa: TID251
-        return name
-
-    def constant(self, value: Any, dtype: Any = np.float32) -> str:
-        """Store a constant; return its name."""
-        name = f"mend_weight_{len(self.weights)}"
-        self.weights[name] = np.array(value, dtype)
-        return name
-
-    def line(self, text: str) -> None:
-        """Write the nodes of a line: an assignment to the output or its columns, or an expression."""
-        [statement] = ast.parse(text).body
-        old = self.add("Cast", "old", to=onnx.TensorProto.FLOAT)
-        if isinstance(statement, ast.Expr):
-            result = self.value(statement.value, old)
-        else:
-            assert isinstance(statement, ast.Assign)
-            result = self.value(statement.value, old)
-            if isinstance(target := statement.targets[0], ast.Subscript):
-                first, end = self._columns(target)
-                parts = [self._part(old, 0, first), result, self._part(old, end, 1 << 30)]
-                result = self.add("Concat", *parts, axis=1)
-        self.nodes.append(
-            onnx.helper.make_node("Cast", [result], ["new"], to=self._elem_type)  # noqa: TID251
-        )
-
-    def value(self, node: ast.expr, old: str) -> str:
-        """Write the nodes of an expression; return the name of the result."""
-        if isinstance(node, ast.Constant):
-            return self.constant(node.value)
-        if isinstance(node, ast.Name):
-            return old
-        if isinstance(node, ast.BinOp):
-            operands = (self.value(node.left, old), self.value(node.right, old))
-            return self.add(OPERATORS[type(node.op)], *operands)
-        if isinstance(node, ast.Subscript):
-            return self._part(old, *self._columns(node))
-        assert isinstance(node, ast.Call)
-        assert isinstance(node.func, ast.Attribute)
-        arguments = [self.value(argument, old) for argument in node.args]
-        is_method = not (isinstance(node.func.value, ast.Name) and node.func.value.id == "torch")
-        receiver = [self.value(node.func.value, old)] if is_method else []
-        return FUNCTIONS[node.func.attr](self, *receiver, *arguments)
-
-    def _part(self, name: str, first: int, end: int) -> str:
-        bounds = [self.constant([bound], np.int64) for bound in (first, end, 1)]
-        return self.add("Slice", name, *bounds)
-
-    def _columns(self, node: ast.Subscript) -> tuple[int, int]:
-        assert isinstance(node.slice, ast.Tuple)
-        columns = node.slice.elts[1]
-        assert isinstance(columns, ast.Slice)
-        bounds = [ast.literal_eval(b) if b else None for b in (columns.lower, columns.upper)]
-        return bounds[0] or 0, 1 << 30 if bounds[1] is None else bounds[1]
-
-
-def _is_finite(writer: LineWriter, x: str) -> str:
-    is_odd = writer.add("Or", writer.add("IsNaN", x), writer.add("IsInf", x))
-    return writer.add("Cast", writer.add("Not", is_odd), to=onnx.TensorProto.FLOAT)
-
-
-def _all(writer: LineWriter, x: str, *_: str) -> str:
-    lowest = writer.add("ReduceMin", x, writer.constant([1], np.int64), keepdims=1)
-    return writer.add("Cast", lowest, to=onnx.TensorProto.BOOL)
-
-
-def _logit(writer: LineWriter, x: str) -> str:
-    rest = writer.add("Sub", writer.constant(1.0), x)
-    return writer.add("Log", writer.add("Div", x, rest))
-
-
-FUNCTIONS: dict[str, Callable[..., str]] = {
-    "all": _all,
-    "isfinite": _is_finite,
-    "logit": _logit,
-    "where": lambda writer, *inputs: writer.add("Where", *inputs),
+OPERATORS: Mapping[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.MatMult: operator.matmul,
+    ast.USub: operator.neg,
+    ast.BitAnd: operator.and_,
+    ast.Gt: operator.gt,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.GtE: operator.ge,
 }
+
+
+class Line(torch.nn.Module):
+    """A module that does what one line of torch says, to tensors of these names."""
+
+    def __init__(self, text: str, names: list[str]) -> None:
+        super().__init__()
+        [statement] = ast.parse(text).body
+        assert isinstance(statement, ast.Assign)
+        self.statement, self.names = statement, names
+        self.variables: dict[str, Any] = {}
+
+    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
+        """Return the tensor that the line assigns to, after it."""
+        self.variables = {n: t.clone() for n, t in zip(self.names, tensors, strict=True)}
+        result, [target] = self.value(self.statement.value), self.statement.targets
+        if isinstance(target, ast.Name):
+            return torch.as_tensor(result)
+        assert isinstance(target, ast.Subscript)
+        tensor = self.value(target.value)
+        tensor[self.value(target.slice)] = result
+        return torch.as_tensor(tensor)
+
+    def value(self, node: ast.expr | None) -> Any:
+        """Return the value of an expression."""
+        match node:
+            case None:
+                return None
+            case ast.Constant(value):
+                return value
+            case ast.Name(name):
+                return torch if name == "torch" else self.variables[name]
+            case ast.Attribute(owner, name):
+                assert not name.startswith("_")
+                return getattr(self.value(owner), name)
+            case ast.BinOp(left, action, right):
+                return OPERATORS[type(action)](self.value(left), self.value(right))
+            case ast.UnaryOp(action, operand):
+                return OPERATORS[type(action)](self.value(operand))
+            case ast.Compare(left, [action], [right]):
+                return OPERATORS[type(action)](self.value(left), self.value(right))
+            case ast.List(elements):
+                return [self.value(element) for element in elements]
+            case ast.Tuple(elements):
+                return tuple(self.value(element) for element in elements)
+            case ast.Slice(lower, upper, step):
+                return slice(self.value(lower), self.value(upper), self.value(step))
+            case ast.Subscript(owner, index):
+                return self.value(owner)[self.value(index)]
+            case ast.Call(function, arguments, keywords):
+                named = {k.arg or "": self.value(k.value) for k in keywords}
+                return self.value(function)(*map(self.value, arguments), **named)
+        raise NotImplementedError(ast.dump(node))
+
+
+def add_line(model: onnx.ModelProto, text: str, roles: Mapping[str, str]) -> None:
+    """Add a line to a model, as its first if it assigns to an input, otherwise as its last.
+
+    Args:
+        model: The model, which is changed.
+        text: The line.
+        roles: Names that a line uses for outputs, such as ``rows``, and their names in the graph.
+    """
+    graph = model.graph
+    inputs = {value.name: value for value in graph.input}
+    values = inputs | {value.name: value for value in graph.output}
+    values |= {word: values[name] for word, name in roles.items() if word not in values}
+    words = list(dict.fromkeys(n.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Name)))
+    target = values[words[0]]
+    words = [word for word in words if word != "torch"]
+    prefix = f"line_{len(graph.node)}."
+    part, result = _traced(text, {word: values[word] for word in words}, prefix)
+    opset = next(entry.version for entry in model.opset_import if not entry.domain)
+    assert opset >= part.opset_import[0].version or opset >= 16, "an operator set of old"
+    is_first = target.name in inputs
+    inner = f"{prefix}{target.name}"
+    if is_first:
+        _rename(graph, target.name, inner, ("input",))
+    else:
+        _rename(graph, target.name, inner, ("input", "output"))
+    names = {word: values[word].name for word in words}
+    names |= {w: inner for w in words if not is_first and values[w].name == target.name}
+    for node in part.graph.node:
+        node.input[:] = [names.get(name, name) for name in node.input]
+        node.output[:] = [
+            (inner if is_first else target.name) if name == result else name for name in node.output
+        ]
+    nodes = [*part.graph.node, *graph.node] if is_first else [*graph.node, *part.graph.node]
+    graph.node.clear()
+    graph.node.extend(nodes)
+    graph.initializer.extend(part.graph.initializer)
+    if not is_first:
+        target.type.CopyFrom(part.graph.output[0].type)
+
+
+def _rename(graph: onnx.GraphProto, name: str, new_name: str, ends: tuple[str, ...]) -> None:
+    for node in graph.node:
+        for end in ends:
+            names = getattr(node, end)
+            names[:] = [new_name if entry == name else entry for entry in names]
+    for weight in graph.initializer:
+        weight.name = new_name if weight.name == name else weight.name
+
+
+def _traced(
+    text: str, values: Mapping[str, onnx.ValueInfoProto], prefix: str
+) -> tuple[onnx.ModelProto, str]:
+    """Return the graph that torch makes of a line, and the name of its result."""
+    examples = []
+    for value in values.values():
+        tensor = value.type.tensor_type
+        dtype = onnx.helper.tensor_dtype_to_np_dtype(tensor.elem_type)  # noqa: TID251
+        sizes = [dim.dim_value or 2 for dim in tensor.shape.dim]
+        examples.append(torch.ones(sizes, dtype=getattr(torch, dtype.name)))
+    file = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            Line(text, list(values)),
+            tuple(examples),
+            file,
+            dynamo=False,
+            opset_version=17,
+            input_names=list(values),
+            output_names=["result"],
+        )
+    part = onnx.load_model_from_string(file.getvalue())
+    kept = {*values, ""}
+    for node in part.graph.node:
+        node.name = prefix + node.name
+        for names in (node.input, node.output):
+            names[:] = [name if name in kept else prefix + name for name in names]
+    for weight in part.graph.initializer:
+        weight.name = prefix + weight.name
+    return part, prefix + "result"

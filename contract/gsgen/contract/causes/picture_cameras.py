@@ -12,6 +12,7 @@ reading of the model: as declared, the point is W p of the world→camera matrix
 """
 
 __all__ = [
+    "TRANSPOSED",
     "PosedRows",
     "is_equivariant",
     "is_translated_otherwise",
@@ -35,6 +36,7 @@ from gsgen.contract.causes.readings import MAX_INVALID_SHARE, Explanation, share
 # or of the picture.
 # Right models that place rows along rays have 1e-6, from rounding; networks that look at cameras
 # otherwise, too, have 0.01 to 1 in each reading.
+TRANSPOSED = "the matrices were read transposed, in the other memory order"
 _MAX_RESIDUAL_RATIO = 2e-3
 # Fewer rows may fit a wrong reading by chance.
 _MIN_ROWS = 16
@@ -326,7 +328,7 @@ _READINGS: Final[dict[str, tuple[_ReadViews, str]]] = {
         np.linalg.inv,
         f"The matrices are world-to-camera: place {_POINT}, or invert the matrices first.",
     ),
-    "the matrices were read transposed, in the other memory order": (
+    TRANSPOSED: (
         _with_parts(lambda r, t: (r.swapaxes(1, 2), 0 * t)),
         "Declare the order that the model reads as space.matrix_order, or transpose the matrices "
         "inside the model.",

@@ -36,12 +36,14 @@ class ColorReading(NamedTuple):
         hint: How to repair the model.
         error: The error of half of the pixels in this reading, relative to the result's contrast.
         declared: The error of the picture as it is.
+        line: The line of torch that undoes the mistake where colours are from 0 to 1, or nothing.
     """
 
     name: str
     hint: str
     error: float
     declared: float
+    line: str = ""
 
 
 def color_error(expected: Colors, actual: Colors) -> float:
@@ -71,7 +73,7 @@ def explain_colors(
     name = min(errors, key=errors.__getitem__)
     if errors[name] > _MAX_READING_ERROR:
         return None
-    return ColorReading(name, readings[name][1], errors[name], declared)
+    return ColorReading(name, readings[name][1], errors[name], declared, _LINES.get(name, ""))
 
 
 def _clipped(read: Callable[[Colors], Colors]) -> Callable[[Colors], Colors]:
@@ -139,4 +141,31 @@ _READINGS: Final[dict[str, tuple[Callable[[Colors], Colors], str]]] = {
         lambda colors: 0.5 + SH_DC * colors,
         "Store (rgb − 0.5) / 0.28209479 as the constant term.",
     ),
+}
+# The line that undoes a mistake of colours from 0 to 1, with channels in the second axis.
+_DECODED = "torch.where({0} <= 0.04045, {0} / 12.92, ((({0} + 0.055) / 1.055).clamp(0)) ** 2.4)"
+_ENCODED = "torch.where({0} <= 0.0031308, {0} * 12.92, 1.055 * {0}.clamp(0) ** (1 / 2.4) - 0.055)"
+_LINES: Final[dict[str, str]] = {
+    **{
+        f"channels come in the order {' '.join('RGB'[channel] for channel in order)}": (
+            f"rows[:, :3] = rows[:, {[order.index(channel) for channel in range(3)]}]"
+        )
+        for order in permutations(range(3))
+    },
+    "colours are linear numbers, decoded by the sRGB curve": (
+        f"rows[:, :3] = {_ENCODED.format('rows[:, :3]')}"
+    ),
+    "colours are linear numbers, as if raised to the power 2.2": (
+        "rows[:, :3] = rows[:, :3].clamp(0) ** (1 / 2.2)"
+    ),
+    "colours were encoded twice by the sRGB curve": (
+        f"rows[:, :3] = {_DECODED.format('rows[:, :3]')}"
+    ),
+    "colours were encoded twice, as if raised to the power 1/2.2": (
+        "rows[:, :3] = rows[:, :3].clamp(0) ** 2.2"
+    ),
+    "a range from −1 to 1 was expected: colours are (x + 1) / 2, pale": (
+        "rows[:, :3] = 2 * rows[:, :3] - 1"
+    ),
+    "colours range from −1 to 1, as 2 x − 1": "rows[:, :3] = (rows[:, :3] + 1) / 2",
 }

@@ -36,11 +36,13 @@ class Reading(NamedTuple):
         name: The mistake in words.
         is_certain: Whether no choice of a joint's rest frame would give the same motion.
         hint: How to repair the model.
+        line: The line of torch that undoes the mistake in the input ``pose``, or nothing.
     """
 
     name: str
     is_certain: bool
     hint: str
+    line: str = ""
 
 
 Matrix = Callable[[Float[np.ndarray, " w"]], Float[np.ndarray, "3 3"]]
@@ -74,6 +76,13 @@ def _first_order(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.eye(3) + np.cross(np.eye(3), vector)
 
 
+def _line_of_axes(order: tuple[int, ...], signs: tuple[int, ...]) -> str:
+    """Return the line that gives a model, which exchanges axes so, what it makes the vector of."""
+    axes = [order.index(axis) for axis in range(3)]
+    factors = [signs[axis] for axis in axes]
+    return f"pose[:, -3:] = pose[:, -3:][:, {axes}] * torch.tensor({factors})"
+
+
 _RIGHT_MATRIX_OF_WIDTH: Final[dict[int, Matrix]] = {3: _axis_angle, 4: _quaternion}
 _INVERSE_HINT = (
     "Multiply each column of centres by the matrix R from the left, or rows from the right by its "
@@ -85,6 +94,7 @@ _AXES: Final[dict[Reading, Matrix]] = {
         f"axes were read as {' '.join(('−' if sign < 0 else '') + 'xyz'[axis] for axis, sign in zip(order, signs, strict=True))}",
         is_certain=False,
         hint="Give the rotation vectors in the axes of `space`, x y z, right-handed.",
+        line=_line_of_axes(order, signs),
     ): _turned_axes(order, signs)
     for order in permutations(range(3))
     for signs in product((1, -1), repeat=3)
@@ -96,24 +106,28 @@ _WRONG_READINGS_OF_WIDTH: Final[dict[int, dict[Reading, Matrix]]] = {
             "radians were taken for degrees",
             is_certain=True,
             hint="Remove the factor π/180: a runtime feeds radians.",
+            line="pose = pose * 57.29577951308232",
         ): lambda v: _axis_angle(v * np.pi / 180),
         Reading(
             "radians were multiplied by 180/π",
             is_certain=True,
             hint="Remove the factor 180/π: sine and cosine take radians, which a runtime feeds.",
+            line="pose = pose / 57.29577951308232",
         ): lambda v: _axis_angle(v * 180 / np.pi),
-        Reading("rotations were inverted", is_certain=True, hint=_INVERSE_HINT): lambda v: (
-            _axis_angle(-v)
-        ),
+        Reading(
+            "rotations were inverted", is_certain=True, hint=_INVERSE_HINT, line="pose = -pose"
+        ): lambda v: _axis_angle(-v),
         Reading(
             "angles were halved",
             is_certain=True,
             hint="Use sin θ and cos θ in Rodrigues' formula, sin(θ/2) and cos(θ/2) in a quaternion.",
+            line="pose = pose * 2",
         ): lambda v: _axis_angle(v / 2),
         Reading(
             "angles were doubled",
             is_certain=True,
             hint="Use sin(θ/2) and cos(θ/2) in a quaternion, sin θ and cos θ in Rodrigues' formula.",
+            line="pose = pose / 2",
         ): lambda v: _axis_angle(v * 2),
         Reading(
             "the matrix were I + [v]×, which holds for small angles",
@@ -136,10 +150,14 @@ _WRONG_READINGS_OF_WIDTH: Final[dict[int, dict[Reading, Matrix]]] = {
             "quaternions w x y z were read as x y z w",
             is_certain=True,
             hint="Read the first of the four numbers as w, and the others as x y z.",
+            line="pose = pose[:, [1, 2, 3, 0]]",
         ): lambda q: _quaternion(np.roll(q, 1)),
-        Reading("rotations were inverted", is_certain=True, hint=_INVERSE_HINT): lambda q: (
-            _quaternion(q * [1, -1, -1, -1])
-        ),
+        Reading(
+            "rotations were inverted",
+            is_certain=True,
+            hint=_INVERSE_HINT,
+            line="pose[:, 1:] = -pose[:, 1:]",
+        ): lambda q: _quaternion(q * [1, -1, -1, -1]),
         **{
             reading: (lambda q, m=matrix: m(_vector_of(q)))  # type: ignore[misc]
             for reading, matrix in _AXES.items()

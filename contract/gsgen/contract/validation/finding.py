@@ -8,6 +8,7 @@ __all__ = [
     "Location",
     "Statistic",
     "Violation",
+    "line_hint",
     "remove_hint",
     "set_hint",
 ]
@@ -28,6 +29,14 @@ Certainty = Literal["confirmed", "possible"]
 def set_hint(path: str, value: object) -> str:
     """Return the hint to write a value, as JSON, at a manifest path such as ``inputs.0.range``."""
     return f"Set {path} to {json.dumps(value, ensure_ascii=False)}."
+
+
+def line_hint(line: str, *, first: bool = False) -> str:
+    """Return the hint to put a line of torch at the end of ``forward``, or first; empty without.
+
+    Inputs and outputs have their names in the graph; ``rows`` is the output of the finding.
+    """
+    return f"{'Begin' if first else 'End'} `forward` on `{line}`." if line else ""
 
 
 def remove_hint(path: str, alternative: str) -> str:
@@ -102,6 +111,7 @@ class Violation:
         certainty: ``confirmed``, or ``possible`` for a conclusion drawn from the numbers.
         statistic: The number that the rule compared, for plots.
         hint: How to repair the model, where the rule's own hint is too general.
+        can_be_zeroed: The rule takes rows of zeros for absent ones, so a few may be hidden so.
     """
 
     where: Location
@@ -115,6 +125,7 @@ class Violation:
     certainty: Certainty = "confirmed"
     statistic: Statistic | None = None
     hint: str = ""
+    can_be_zeroed: bool = False
 
     @classmethod
     def at(
@@ -150,6 +161,7 @@ class Violation:
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
         cause: tuple[str, str] | None = None,
+        can_be_zeroed: bool = False,
     ) -> "Violation":
         """Return a rule violation by packed rows: the mask of invalid rows, and their values.
 
@@ -165,6 +177,7 @@ class Violation:
             magnitude=magnitude,
             min_fraction=min_fraction,
             certainty=certainty,
+            can_be_zeroed=can_be_zeroed and cause is None,
         )
 
 

@@ -13,12 +13,15 @@ from gsgen.contract.validation.finding import (
     Location,
     Statistic,
     Violation,
+    line_hint,
 )
 
 _MAX_EXAMPLES = 5
 # Rows of a chunk that are sampled for a histogram, and its bins.
 _MAX_SAMPLED_VALUES = 2048
 _BIN_COUNT = 24
+# Invalid rows are hidden if no more than this share is.
+_MAX_HIDDEN_SHARE = 0.5
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,6 +43,7 @@ class FindingCounter:
         statistic: The number that the rule compared first.
         hint: The first hint of a violation; empty for that of the rule.
         samples: Values of checked rows, and which of them break the rule.
+        can_be_zeroed: The rule takes rows of zeros for absent ones.
     """
 
     where: Location
@@ -57,13 +61,16 @@ class FindingCounter:
     statistic: Statistic | None = None
     hint: str = ""
     samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+    can_be_zeroed: bool = False
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
         """Count a rule violation; ``start`` is the output row at which the checked chunk begins."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         self.statistic = self.statistic or violation.statistic
-        self.hint = self.hint or violation.hint
+        if violation.invalid_rows is None or violation.invalid_rows.any():
+            self.hint = self.hint or violation.hint
+        self.can_be_zeroed = violation.can_be_zeroed
         if violation.invalid_rows is None:
             self.count += 1
             if len(self.examples) < _MAX_EXAMPLES:
@@ -121,6 +128,16 @@ class FindingCounter:
     def has_failing_finding(self) -> bool:
         """Whether so many rows or values are invalid that the validation rule fails."""
         return self.count > 0 and self.count > self.min_fraction * self.total
+
+    def hint_of(self, rule_hint: str) -> str:
+        """Return how to repair the model, and how to hide the invalid rows if they are few."""
+        hint, rows = self.hint or rule_hint, {example.row for example in self.examples}
+        if not self.can_be_zeroed or not self.count <= min(
+            len(rows), _MAX_HIDDEN_SHARE * self.total
+        ):
+            return hint
+        line = line_hint(f"rows[{sorted(row for row in rows if row is not None)}] = 0")
+        return f"{hint} To hide these rows: {line[0].lower()}{line[1:]}"
 
     def message(self) -> str:
         """The finding's actual and expected value in one line."""

@@ -214,7 +214,7 @@ class ResultCollector:
             severity=severity,
             where=counter.where,
             message=counter.message(),
-            hint=counter.hint or rule.hint,
+            hint=counter.hint_of(rule.hint),
             count=counter.count,
             total=counter.total,
             examples=tuple(counter.examples),

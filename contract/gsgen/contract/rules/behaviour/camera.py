@@ -14,7 +14,7 @@ from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Statistic, Violation, set_hint
+from gsgen.contract.validation.finding import Statistic, Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -67,7 +67,12 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
             largest = largest_difference(value, flipped_run.outputs[name])
             if largest > 0:
                 actual = f"differs by up to {largest:.3g} with row 1 of the projection negated"
-                yield Violation.at(f"output {name}", actual, "the same for both signs")
+                lens = behaviour.subject.inputs_of("projection")[0][0].name
+                space = behaviour.subject.generator.space if behaviour.subject.generator else None
+                row = f"{lens}[1]" if space and space.matrix_order == "row" else f"{lens}[:, 1]"
+                line = line_hint(f"{row} = {row} * {lens}[1, 1].sign()", first=True)
+                hint = f"Take the scale of y as positive, or use the view matrix alone. {line}"
+                yield Violation.at(f"output {name}", actual, "the same for both signs", hint=hint)
 
 
 @rule("GV017", Severity.WARNING, needs=("GV025", "GO010", "GO011", "GV016"))
@@ -137,7 +142,7 @@ class _Sight:
         probe: Its probe.
         view: Its world→camera matrix.
         lens: Its lens.
-        rows: The drawn rows, float64.
+        rows: The drawn rows.
         keys: A hash of each one's position.
         is_drawn: Which rows of all cameras together are drawn.
         is_in_view: Which of them are in view.
@@ -279,10 +284,10 @@ def _scene_of_cameras(
         view_of_probe,
     )
 
-    rows = np.concatenate([rows for _, rows in drawn]).astype(np.float64)
+    rows = np.concatenate([rows for _, rows in drawn])
     known, first, inverse = np.unique(np.concatenate(keys), return_index=True, return_inverse=True)
     counts = np.bincount(inverse)
-    union = rows[first]
+    union = rows[first].astype(np.float64)
     union[:, OPACITY] = np.bincount(inverse, rows[:, OPACITY]) / counts
     # Rows that move with the camera, such as those of a sky, are drawn at other places each time.
     stays = counts >= _MIN_SEEING_CAMERAS
@@ -305,7 +310,7 @@ def _scene_of_cameras(
                 probe=probe,
                 view=view,
                 lens=lens,
-                rows=own_rows.astype(np.float64),
+                rows=own_rows,
                 keys=own_keys,
                 is_drawn=is_drawn[stays],
                 is_in_view=np.abs(place).max(axis=1) <= _MAX_VIEW_SHARE,
@@ -348,7 +353,7 @@ def _hole_share(scene: _Scene, sight: _Sight) -> float:
     step = -(-int(np.count_nonzero(sight.is_in_view)) // _PICTURE_ROWS)
     pictures = []
     for rows, keys in ((scene.rows, scene.keys), (sight.rows, sight.keys)):
-        sample = rows[keys % np.uint64(max(step, 1)) == 0].copy()
+        sample = rows[keys % np.uint64(max(step, 1)) == 0].astype(np.float64)
         sample[:, COVARIANCE] *= step
         pictures.append(draw_coverage(sample, sight.view, sight.lens, scene.near))
     (full, full_depth), (left, left_depth) = pictures

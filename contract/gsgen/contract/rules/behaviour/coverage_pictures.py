@@ -117,24 +117,28 @@ def draw_coverage(
     conic = np.stack([spread[:, 1, 1], -spread[:, 0, 1], spread[:, 0, 0]], axis=1)
     conic /= determinant[:, None]
     center = (2 * np.arange(_SIDE, dtype=np.float32) + 1) / _SIDE - 1
-    place, conic, opacity = (array.astype(np.float32) for array in (place, conic, opacity))
-    transmittance, coverage = np.ones((_SIDE, _SIDE)), np.zeros((_SIDE, _SIDE))
-    depth_sum = np.zeros((_SIDE, _SIDE))
+    place, conic, opacity, depth = (
+        array.astype(np.float32) for array in (place, conic, opacity, depth)
+    )
+    transmittance = np.ones((1, _SIDE * _SIDE), np.float32)
+    coverage, depth_sum = np.zeros((2, _SIDE * _SIDE))
     for start in range(0, len(packed), _BLOCK_ROWS):
         block = slice(start, start + _BLOCK_ROWS)
         dx = center[None, None, :] - place[block, 0, None, None]
         dy = center[None, :, None] - place[block, 1, None, None]
         a, b, c = conic[block, :, None, None].transpose(1, 0, 2, 3)
-        alpha = opacity[block, None, None] * np.exp(
-            -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
-        )
-        clear = np.cumprod(1 - np.minimum(alpha, 0.99), axis=0)
-        before = np.concatenate([np.ones((1, _SIDE, _SIDE)), clear[:-1]])
-        weight = transmittance * before * np.minimum(alpha, 0.99)
+        # Squares of one axis are taken for its pixels alone, not for all pixels of the picture.
+        exponent = (-0.5 * a * dx * dx) + (-0.5 * c * dy * dy) - (b * dx) * dy
+        alpha = opacity[block, None] * np.exp(exponent).reshape(len(exponent), -1)
+        np.minimum(alpha, 0.99, out=alpha)
+        # How much light reaches each row, and what is left behind the last one.
+        reaching = np.cumprod(np.concatenate([transmittance, 1 - alpha]), axis=0)
+        weight = reaching[:-1] * alpha
         coverage += weight.sum(axis=0)
-        depth_sum += (weight * depth[block, None, None]).sum(axis=0)
-        transmittance = transmittance * clear[-1]
-    return coverage, depth_sum / np.maximum(coverage, 1e-12)
+        depth_sum += depth[block] @ weight
+        transmittance = reaching[-1:]
+    mean_depth = depth_sum / np.maximum(coverage, 1e-12)
+    return coverage.reshape(_SIDE, _SIDE), mean_depth.reshape(_SIDE, _SIDE)
 
 
 def _determinants(matrices: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:

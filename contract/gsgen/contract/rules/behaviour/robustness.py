@@ -18,7 +18,7 @@ from gsgen.contract.validation.agreement import (
     field_errors,
     tolerance_of,
 )
-from gsgen.contract.validation.finding import Location, Violation, set_hint
+from gsgen.contract.validation.finding import Location, Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
@@ -29,14 +29,14 @@ _MAX_REWRITE_ERROR = 1e-2
 _MIN_INERT_SHARE = 0.5
 
 
-def _failed_run_violations(runs: list[ProbeRun]) -> Iterator[Violation]:
+def _failed_run_violations(runs: list[ProbeRun], hint: str = "") -> Iterator[Violation]:
     for run in runs:
         if run.error:
-            yield Violation.at("ONNX Runtime", f"{run.error} ({run.probe.label})", "no error")
+            actual = f"{run.error} ({run.probe.label})"
+            yield Violation.at("ONNX Runtime", actual, "no error", hint=hint)
         for name in run.not_finite:
-            yield Violation.at(
-                f"output {name}", f"not finite at {run.probe.label!r}", "finite values"
-            )
+            actual = f"not finite at {run.probe.label!r}"
+            yield Violation.at(f"output {name}", actual, "finite values", hint=hint)
 
 
 @rule("GB013", Severity.ERROR, needs=(*REPRODUCIBLE, *FINITE_OUTPUTS))
@@ -49,7 +49,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
 
     Hint:
         Clamp under the square root, and before division and logarithm. To hide such rows meanwhile,
-        return `torch.where(rows.isfinite().all(1, True), rows, 0)`.
+        end on `rows = torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     yield from _failed_run_violations(behaviour.trial_runs("edges"))
 
@@ -65,7 +65,19 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Clip inputs to their range inside the model.
     """
-    yield from _failed_run_violations(behaviour.trial_runs("outside"))
+    ranged = (
+        (entry for entry in behaviour.subject.manifest.inputs if entry.range is not None)
+        if behaviour.subject.manifest
+        else ()
+    )
+    hint = " ".join(
+        line_hint(
+            f"{entry.name} = {entry.name}.clamp({entry.range[0]:g}, {entry.range[1]:g})", first=True
+        )
+        for entry in ranged
+        if entry.range is not None
+    )
+    yield from _failed_run_violations(behaviour.trial_runs("outside"), hint)
 
 
 @rule("GB010", Severity.WARNING, needs=(*REPRODUCIBLE, "GG020"), kinds=MANIFEST_KINDS)

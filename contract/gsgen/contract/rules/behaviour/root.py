@@ -10,7 +10,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -86,7 +86,16 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
                 else f"a factor of {factor:.3g}: another unit"
             )
             expected = f"the translation itself, added last; {cause}"
-            yield Violation.at(f"input {name}", actual, expected)
+            is_scaled = (
+                np.abs(mean_motion - factor * translation).max() <= _MAX_VALUE_ERROR * length
+            )
+            line = f"{name} = {name} / {factor:.4g}" if is_scaled and factor > 0 else ""
+            hint = (
+                f"Add the translation last, in the unit of the positions. {line_hint(line, first=True)}"
+                if line
+                else ""
+            )
+            yield Violation.at(f"input {name}", actual, expected, hint=hint)
             return
 
 

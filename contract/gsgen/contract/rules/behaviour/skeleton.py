@@ -16,7 +16,7 @@ from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint, remove_hint
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -199,7 +199,13 @@ def joints_turn_as_given(behaviour: Behaviour) -> Iterator[Violation]:
     if misread is not None and misread[1].is_certain:
         entry, reading, actual = misread
         expected = "the rotation that the convention defines, right-handed and in radians"
-        yield Violation.at(f"input {entry.name}", actual, expected, hint=reading.hint)
+        hint = _hint_of(entry, reading)
+        yield Violation.at(f"input {entry.name}", actual, expected, hint=hint)
+
+
+def _hint_of(entry: Input, reading: "Reading") -> str:
+    line = line_hint(reading.line.replace("pose", entry.name), first=True)
+    return f"{reading.hint} {line}".strip()
 
 
 def _fault_of_covariances(behaviour: Behaviour) -> tuple[Input, str] | None:
@@ -242,9 +248,8 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
     if misread is not None and not misread[1].is_certain:
         entry, reading, actual = misread
         expected = "rotations about the axes that are given"
-        yield Violation.at(
-            f"input {entry.name}", actual, expected, certainty="possible", hint=reading.hint
-        )
+        hint = _hint_of(entry, reading)
+        yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible", hint=hint)
     share = _motion_by_length(behaviour)
     if share > _MAX_MOTION_BY_LENGTH:
         pose = _entry(behaviour)
@@ -390,7 +395,14 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
             actual = (
                 f"{100 * share:.0f} % of the rows of joint {name!r} move with its parent {parent!r}"
             )
-            yield Violation.at(where, actual, "rows that follow the parent")
+            inputs = behaviour.subject.manifest.inputs if behaviour.subject.manifest else ()
+            index = inputs.index(entry)
+            hint = remove_hint(
+                f"inputs.{index}.joints.{number}.parent",
+                "name the joint that carries this one in the model's own skeleton; check that "
+                "joints stand in the order of the rows of the pose",
+            )
+            yield Violation.at(where, actual, "rows that follow the parent", hint=hint)
     yield from _children_that_keep_their_rotation(entry, single_turns)
     for turn in turns:
         if len(turn.joints) == 2 and _is_chain_reversed(turn, single_turns):

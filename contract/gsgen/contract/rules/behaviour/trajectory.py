@@ -16,7 +16,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint
 from gsgen.contract.validation.gates import MODEL_RUNS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -92,7 +92,9 @@ def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
                 yield Violation.at(f"output {name}", actual, expected)
         elif not (value > 0).all():
             actual = f"{float(value.min()):.4g} at probe {label!r}"
-            yield Violation.at(f"output {name}", actual, "numbers above 0")
+            hint = line_hint("rows = torch.exp(rows / 2)") if (value < 0).mean() > 0.5 else ""
+            hint = f"Of logarithms of variances: {hint}" if hint else ""
+            yield Violation.at(f"output {name}", actual, "numbers above 0", hint=hint)
 
 
 def covariance_fault(triangles: Float[np.ndarray, "k n"], size: int) -> str:
@@ -148,7 +150,9 @@ def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if not (np.abs(length - 1) <= _UNIT_QUATERNION_TOLERANCE).all():
             row = int(np.abs(length - 1).argmax())
             actual = f"length {length[row]:.4g} in row {row} at probe {label!r}"
-            yield Violation.at(f"output {name}", actual, f"1 ± {_UNIT_QUATERNION_TOLERANCE:g}")
+            line = "rows[:, 3:] = rows[:, 3:] / rows[:, 3:].norm(dim=1, keepdim=True).clamp(1e-8)"
+            expected = f"1 ± {_UNIT_QUATERNION_TOLERANCE:g}"
+            yield Violation.at(f"output {name}", actual, expected, hint=line_hint(line))
 
 
 def _values(

@@ -6,7 +6,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.rules.interface.input_declarations import declared_inputs, shape_of
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint, remove_hint, set_hint
 from gsgen.contract.validation.rule import rule
 
 _SOUND_FIELDS = ("rate", "window", "hop")
@@ -29,24 +29,25 @@ def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
         if not entry.joints:
             continue
         shape = shape_of(subject, entry)
+        path = f"inputs.{declared_inputs(subject).index(entry)}.joints"
+        hint = remove_hint(path, "list one for each row, in the order of the rows, parents first")
         if entry.role != "pose":
             yield _input_violation(entry, f"role {entry.role} with joints", "role pose")
         elif shape is not None and len(entry.joints) != shape[0]:
-            yield _input_violation(
-                entry, f"{len(entry.joints)} joints", f"{shape[0]}, one for each row"
-            )
+            expected = f"{shape[0]}, one for each row"
+            yield _input_violation(entry, f"{len(entry.joints)} joints", expected, hint)
         else:
-            yield from _order_faults(entry)
+            yield from _order_faults(entry, hint)
 
 
-def _order_faults(entry: Input) -> Iterator[Violation]:
+def _order_faults(entry: Input, hint: str) -> Iterator[Violation]:
     preceding_input_names: set[str] = set()
     for joint in entry.joints:
         if joint.name in preceding_input_names:
-            yield _input_violation(entry, f"two joints {joint.name!r}", "different names")
+            yield _input_violation(entry, f"two joints {joint.name!r}", "different names", hint)
         if joint.parent is not None and joint.parent not in preceding_input_names:
             actual = f"joint {joint.name!r} before its parent {joint.parent!r}"
-            yield _input_violation(entry, actual, "parents first")
+            yield _input_violation(entry, actual, "parents first", hint)
         preceding_input_names.add(joint.name)
 
 
@@ -64,7 +65,10 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
         if entry.convention == _ARKIT_BLENDSHAPE_SET and entry.range is not None:
             low, high = entry.range
             if not 0 <= low <= high <= 1:
-                yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]")
+                index = declared_inputs(subject).index(entry)
+                line = line_hint(f"{entry.name} = {entry.name} * {max(-low, high):g}", first=True)
+                hint = f"{set_hint(f'inputs.{index}.range', [0, 1])} {line}"
+                yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]", hint)
 
 
 @rule("GI032", Severity.ERROR, needs=("GM004", "GI015"))

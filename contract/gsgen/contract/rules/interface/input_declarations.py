@@ -17,7 +17,7 @@ from gsgen.contract.spec.fields.roles import (
 )
 from gsgen.contract.spec.manifest import Input, TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, set_hint
 from gsgen.contract.validation.rule import rule
 
 _TIME_ROLES = ("time", "frame_index")
@@ -83,7 +83,10 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_input_location(entry), actual, "whole numbers")
         elif low < lowest or high > highest:
             expected = f"numbers of {dtype}, from {lowest:.10g} to {highest:.10g}"
-            yield Violation.at(_input_location(entry), actual, expected)
+            ends = [max(low, lowest), min(high, highest)]
+            path = f"inputs.{declared_inputs(subject).index(entry)}.range"
+            hint = set_hint(path, [int(end) if is_int32 else end for end in ends])
+            yield Violation.at(_input_location(entry), actual, expected, hint=hint)
 
 
 @rule(

@@ -189,7 +189,8 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
 
     Hint:
         Guard the division or the norm that sees the zero, with a clamp under the square root. To
-        hide such rows meanwhile, return `torch.where(rows.isfinite().all(1, True), rows, 0)`.
+        hide such rows meanwhile, end on
+        `rows = torch.where(rows.isfinite().all(1, True), rows, 0)`.
     """
     if not emission.zeros:
         return

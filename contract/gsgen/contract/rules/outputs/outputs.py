@@ -7,7 +7,8 @@ from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW_LENGTH, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.validation.finding import Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import DECLARATION_RULES
 from gsgen.contract.validation.rule import rule
 
@@ -40,9 +41,25 @@ def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     if subject.gaussians is not None:
         return
     outputs = ", ".join(str(tensor) for tensor in subject.graph.outputs) or "nothing"
-    yield Violation.at(
-        "outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW_LENGTH}] output"
-    )
+    actual, expected = f"no packed Gaussians among {outputs}", f"one [N, {ROW_LENGTH}] output"
+    yield Violation.at("outputs", actual, expected, hint=_role_hint(subject, "gaussians"))
+
+
+def _role_hint(subject: InspectedModel, role: str) -> str:
+    """Return the hint to declare the graph's output that has the name and the shape of a role.
+
+    Three channels may be RGB or SH, so they are not guessed.
+    """
+    from gsgen.contract.model.manifest_inference import infer_manifest
+    from gsgen.contract.spec.fields.json_schema import to_json
+
+    entry = getattr(infer_manifest(subject.graph, "").manifest.outputs, role)
+    declared = [
+        output.name for output in (subject.gaussians, subject.appearance, subject.count) if output
+    ]
+    is_free = entry is not None and entry.name not in declared
+    is_free = is_free and (role != "appearance" or entry.space == "sh")
+    return set_hint(f"outputs.{role}", to_json(entry)) if is_free else ""
 
 
 @rule("GO002", Severity.ERROR, needs=("GO001", "GO003"))
@@ -127,7 +144,10 @@ def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
         Return SH coefficients or RGB and declare them as outputs.appearance.
     """
     if subject.appearance is None:
-        yield Violation.at("outputs", "no appearance", "one [N, channels] output")
+        expected = "one [N, channels] output"
+        yield Violation.at(
+            "outputs", "no appearance", expected, hint=_role_hint(subject, "appearance")
+        )
 
 
 @rule("GO006", Severity.ERROR, needs=("GO005",))
@@ -157,7 +177,14 @@ def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
             expected += f"; {channels} is f_rest without the constant term f_dc"
         elif tensor.dims is not None and len(tensor.dims) == 3:
             expected += "; reshape the last two axes into one"
-        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
+        others = [
+            s for s, sizes in APPEARANCE_CHANNELS.items() if channels in sizes and channels > 4
+        ]
+        hint = ""
+        if declared.space == "rgb" and others == ["sh"] and isinstance(channels, int):
+            degree = set_hint("outputs.appearance.degree", degree_of(channels // 3))
+            hint = f"{set_hint('outputs.appearance.space', 'sh')} {degree}"
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected, hint=hint)
 
 
 @rule("GO007", Severity.ERROR, needs=("GO004", "GO006"))
@@ -173,7 +200,12 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     tensor, rows = subject.appearance, _dim_of_axis(subject.gaussians, 0)
     row_count = _dim_of_axis(tensor, 0)
     if tensor is not None and isinstance(rows, int) and row_count != rows:
-        yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows")
+        hint = "Pad both outputs to the same capacity."
+        if isinstance(row_count, int):
+            missing = f"torch.zeros({rows - row_count}, rows.shape[1])"
+            fill = f"torch.cat([rows, {missing}])" if rows > row_count else f"rows[:{rows}]"
+            hint += f" {line_hint(f'rows = {fill}')}"
+        yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows", hint=hint)
 
 
 @rule("GO008", Severity.ERROR, needs=("GO001", "GO005"))
@@ -245,7 +277,8 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
         Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.
     """
     if subject.count is None:
-        yield Violation.at("outputs", "no row count", "one int32 [1] output, usually num_points")
+        expected, hint = "one int32 [1] output, usually num_points", _role_hint(subject, "count")
+        yield Violation.at("outputs", "no row count", expected, hint=hint)
 
 
 @rule("GO011", Severity.ERROR, needs=("GO010",))

@@ -9,7 +9,7 @@ from gsgen.contract.probing.drawn_sample import SH_OFFSET, DrawnSample, displaye
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import SH_DC
-from gsgen.contract.validation.finding import Location, Statistic, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation, line_hint
 from gsgen.contract.validation.gates import COLORED_ROW_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -60,9 +60,9 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
 
 def _undo_hint(inverse: str) -> str:
     """Return the hint to undo a conversion of the first three channels; empty without inverse."""
-    line = f"`color[:, :3] = {inverse}`"
+    line = line_hint(f"color[:, :3] = {inverse}")
     ignore = "If the scene has such colours, ignore this rule."
-    return f"Convert once, or undo it by the line {line}. {ignore}" if inverse else ""
+    return f"Convert once, or undo it. {line} {ignore}" if inverse else ""
 
 
 def _diagnose_sh_constant(constant: Float[np.ndarray, "e 3"]) -> tuple[str, str]:
@@ -162,12 +162,16 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
                     0.0,
                     _MIN_UNRELATED_ROUGHNESS,
                 )
+                rows, minus = sample.emission.rows_label.removeprefix("output "), "-" * (sign < 0)
+                order_of_rows = f"torch.argsort(torch.argsort({minus}{rows}[:, {column}]))"
                 yield Violation(
                     where=location,
                     expected=expected,
                     actual=actual,
                     certainty="possible",
                     statistic=usual_statistic,
+                    hint="Apply one permutation to positions, covariances, opacities and colours. "
+                    + line_hint(f"rows = rows[{order_of_rows}]"),
                 )
                 return
 

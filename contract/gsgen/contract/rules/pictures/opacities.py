@@ -7,7 +7,8 @@ import numpy as np
 from gsgen.contract.probing.drawn_sample import DrawnSample, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Statistic, Violation
+from gsgen.contract.spec.spherical_harmonics import SH_DC
+from gsgen.contract.validation.finding import Location, Statistic, Violation, line_hint
 from gsgen.contract.validation.gates import COLORED_ROW_RULES, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -126,4 +127,14 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
             actual=actual,
             certainty="possible",
             statistic=Statistic("correlation with opacity", correlation, high=_MIN_CORRELATION),
+            hint=_divide_hint(sample),
         )
+
+
+def _divide_hint(sample: DrawnSample) -> str:
+    """Return the hint to divide the shown colours by the opacity."""
+    opacity = f"{sample.emission.rows_label.removeprefix('output ')}[:, 3:4].clamp(1 / 255)"
+    line = f"rows[:, :3] = rows[:, :3] / {opacity}"
+    if sample.emission.is_sh:  # of 0.5 + SH_DC * x
+        line = f"rows[:, :3] = ((0.5 + {SH_DC:.8g} * rows[:, :3]) / {opacity} - 0.5) / {SH_DC:.8g}"
+    return f"Leave the multiplication out, or divide the colours by opacity. {line_hint(line)}"

@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.alignment import MAX_FITTING_DEVIATION, measure_alignment
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Statistic, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation, line_hint
 from gsgen.contract.validation.gates import VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -50,6 +50,9 @@ def _scale_by_factor(factor: float) -> Callable[[SigmaArray], SigmaArray]:
 
 
 # The mistake, the interval of the statistic it is suspected in, and the function that undoes it.
+_BLUR_TEXT = "0.3, the blur of renderers in pixels², were added to variances of the scene"
+_BOTH_MULTIPLIED_TEXT = "positions and variances were both multiplied by 100"
+_UNIT_TEXT, _UNIT_FACTORS = "positions were multiplied by {} and scales were not", (1000, 100, 10)
 _NOT_SQUARED_TEXT = "standard deviations stand where variances belong"
 _KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], SigmaArray]], ...] = (
     (
@@ -65,18 +68,10 @@ _KNOWN_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[SigmaArray], Si
         lambda sigma: sigma ** (1 / np.log(10)),
     ),
     *(
-        (
-            f"positions were multiplied by {factor} and scales were not",
-            (0.0, _SMALL_SIZE_RATIO),
-            revert_mistake,
-        )
-        for factor, revert_mistake in ((f, _scale_by_factor(f)) for f in (1000, 100, 10))
+        (_UNIT_TEXT.format(factor), (0.0, _SMALL_SIZE_RATIO), revert_mistake)
+        for factor, revert_mistake in ((f, _scale_by_factor(f)) for f in _UNIT_FACTORS)
     ),
-    (
-        "positions and variances were both multiplied by 100",
-        (0.0, _SMALL_SIZE_RATIO),
-        _scale_by_factor(10),
-    ),
+    (_BOTH_MULTIPLIED_TEXT, (0.0, _SMALL_SIZE_RATIO), _scale_by_factor(10)),
 )
 
 
@@ -122,7 +117,20 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
         actual=actual,
         certainty="possible",
         statistic=usual_statistic,
+        hint=_line_of(mistake),
     )
+
+
+def _line_of(mistake: str) -> str:
+    """Return the hint to undo a mistake by a line; empty if no short line does."""
+    matrices = "rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)"
+    square = f"({matrices} @ {matrices}).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]"
+    lines = {
+        _NOT_SQUARED_TEXT: f"rows[:, 4:] = {square}",
+        _BLUR_TEXT: "rows[:, [4, 7, 9]] = rows[:, [4, 7, 9]] - 0.3",
+        _BOTH_MULTIPLIED_TEXT: "rows[:, 4:] = rows[:, 4:] * 100",
+    } | {_UNIT_TEXT.format(s): f"rows[:, 4:] = rows[:, 4:] * {s}**2" for s in _UNIT_FACTORS}
+    return f"{line_hint(lines[mistake])} Or ignore this rule." if mistake in lines else ""
 
 
 def _find_mistake(sample: DrawnSample, ratio: float) -> str:
@@ -133,7 +141,7 @@ def _find_mistake(sample: DrawnSample, ratio: float) -> str:
     variances = np.square(sigma[:, 0])
     is_blurred = (variances >= _SCREEN_BLUR_RANGE[0]) & (variances <= _SCREEN_BLUR_RANGE[1])
     if variances.min() >= _SCREEN_BLUR_RANGE[0] and is_blurred.mean() >= _MIN_BLURRED_SHARE:
-        return "0.3, the blur of renderers in pixels², were added to variances of the scene"
+        return _BLUR_TEXT
     largest = (
         _MAX_DENSE_RATIO
         if ratio < _MAX_SPARSE_RATIO and _are_aligned_with_neighbours(sample)

@@ -11,7 +11,7 @@ from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import SH_DC
-from gsgen.contract.validation.finding import Statistic, Violation
+from gsgen.contract.validation.finding import Statistic, Violation, line_hint
 from gsgen.contract.validation.gates import COLORED_ROW_RULES, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -37,6 +37,7 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
         pixels. Place the pixel (u, v) of depth d at Rᵀ (d K⁻¹ (u, v, 1) − t).
     """
     from gsgen.contract.causes.picture_cameras import (
+        TRANSPOSED,
         is_equivariant,
         is_translated_otherwise,
         reading_behind_cameras,
@@ -60,7 +61,12 @@ def picture_cameras_read_as_declared(behaviour: Behaviour) -> Iterator[Violation
     where = moved.outputs.rows_label
     if reading is not None:
         actual = f"{reading.rows} Gaussians of the pictures show that {reading.name}"
-        yield Violation.at(where, actual, expected, hint=reading.hint)
+        hint = reading.hint
+        if reading.name == TRANSPOSED:
+            views = behaviour.subject.inputs_of("image_view")[0][0].name
+            line = line_hint(f"{views} = {views}.transpose(1, 2)", first=True)
+            hint = f"{hint} {line}"
+        yield Violation.at(where, actual, expected, hint=hint)
     elif is_translated_otherwise(moved.base, moved.other):
         actual = "the Gaussians of each picture turn with its camera, and are moved elsewhere"
         hint = (
@@ -92,6 +98,7 @@ def pictures_come_back(behaviour: Behaviour) -> Iterator[Violation]:
 
     reading = explain_colors(_at(rows.pictures, rows.pixels), rows.shown, _other_places(rows))
     if reading is not None:
+        line = line_hint("" if rows.outputs.is_sh else reading.line)
         actual = f"half of {len(rows.shown)} rows differ from their pixels: {reading.name}"
         yield Violation.at(
             rows.outputs.color_label,
@@ -99,7 +106,7 @@ def pictures_come_back(behaviour: Behaviour) -> Iterator[Violation]:
             "the colours of their pixels",
             certainty="possible",
             statistic=Statistic("error over contrast", reading.declared, 0.0, MIN_DECLARED_ERROR),
-            hint=reading.hint,
+            hint=f"{reading.hint} {line}".strip(),
         )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint, set_hint
 from gsgen.contract.validation.rule import rule
 
 # The name of the viewer's target.
@@ -112,7 +112,13 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         return
     channels = tensor.dims[-1]
     if declared.space == "sh" and channels != _SH_CHANNELS:
-        yield Violation.at(f"output {tensor.name}", f"SH with {channels} channels", "48 channels")
+        hint, rows = "", tensor.dims[0]
+        if isinstance(channels, int) and isinstance(rows, int) and channels < _SH_CHANNELS:
+            zeros = f"torch.zeros({rows}, {_SH_CHANNELS - channels}, dtype=rows.dtype)"
+            line = line_hint(f"rows = torch.cat([rows, {zeros}], 1)")
+            hint = f"Pad SH with zeros. {line} {set_hint('outputs.appearance.degree', 3)}"
+        actual = f"SH with {channels} channels"
+        yield Violation.at(f"output {tensor.name}", actual, "48 channels", hint=hint)
     if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
         actual = f"RGB as {tensor.dtype} with {channels} channels"
         yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
@@ -130,4 +136,9 @@ def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """
     for entry, _ in subject.inputs_of("time"):
         if entry.range is not None and entry.range != (0.0, 1.0):
-            yield Violation.at(f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]")
+            low, high = entry.range
+            index = (subject.manifest.inputs if subject.manifest else ()).index(entry)
+            line = line_hint(f"{entry.name} = {low:g} + {entry.name} * {high - low:g}", first=True)
+            is_mended = entry.default in (None, "zeros", 0.0)  # another default needs a number, too
+            hint = f"{line} {set_hint(f'inputs.{index}.range', [0, 1])}" if is_mended else ""
+            yield Violation.at(f"input {entry.name}", f"range {[low, high]}", "[0, 1]", hint=hint)

@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, line_hint
 from gsgen.contract.validation.gates import APPEARANCE, COLORED_ROW_RULES
 from gsgen.contract.validation.rule import rule
 
@@ -96,7 +96,17 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
         expected = (
             f"a mean degree below {_MIN_SUSPECT_BAND_RATIO}, as coefficient-major SH of a scene has"
         )
-        yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
+        k = len(coefficient_energy) // 3
+        swap = "rows.reshape(-1, {}, {}).transpose(1, 2).reshape(-1, {})"
+        lines = {
+            "channel-major": f"rows = {swap.format(3, k, 3 * k)}",
+            "interleaved twice": f"rows = {swap.format(k, 3, 3 * k)}",
+            "with f_rest before f_dc": f"rows = torch.cat([rows[:, {3 * k - 3}:], rows[:, :{3 * k - 3}]], 1)",
+        }
+        hint = f"Store SH coefficient by coefficient, f_dc first. {line_hint(lines[name])} If the order is right and the scene is unusual, ignore this rule."
+        yield Violation.at(
+            f"output {declared.name}", actual, expected, certainty="possible", hint=hint
+        )
 
 
 def _coefficient_orders(size: int) -> dict[str, np.ndarray]:
@@ -161,4 +171,5 @@ def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
     low, high = sample[:, 3].min(), sample[:, 3].max()
     if low != high:
         actual = f"values from {low:.3g} to {high:.3g} in channel 3"
-        yield Violation.at(emission.color_label, actual, "one number in all rows")
+        hint = f"Put opacity in column 3 of the packed rows. {line_hint('rows[:, 3] = 1')}"
+        yield Violation.at(emission.color_label, actual, "one number in all rows", hint=hint)

@@ -1,6 +1,7 @@
 """Validation rules of cells (groups of Gaussians) for weighted blending: sizes and values."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from gsgen.contract.spec.layout import (
 )
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, line_hint
 from gsgen.contract.validation.gates import CELL_RULES, MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -132,8 +133,8 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
 
     Hint:
         Find the division, logarithm or norm that sees zero, such as the mean of quaternions whose
-        weights are all zero, and clamp before it. To hide such cells and rows meanwhile, return
-        `torch.where(rows.isfinite().all(1, True), rows, 0)`.
+        weights are all zero, and clamp before it. To hide such cells and rows meanwhile, end on
+        `rows = torch.where((rows.abs() < 65504).all(1, True), rows, 0)`.
     """
     cells = emission.cells
     if cells is not None and not emission.zeros:
@@ -157,7 +158,9 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     visibility = emission.cells[:, VISIBILITY].astype(np.float64)
     in_range_mask = (visibility >= -_VISIBILITY_SLACK) & (visibility <= 1 + _VISIBILITY_SLACK)
     checked = _finite_mask(emission.cells)
-    yield Violation.rows(
+    has_logits = bool((visibility > 1).any() and (~in_range_mask & checked).all())
+    function = "sigmoid()" if has_logits else "clamp(0, 1)"
+    violation = Violation.rows(
         Location(emission.cells_label, "visibility"),
         ~in_range_mask & checked,
         visibility,
@@ -165,6 +168,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
         checked=int(np.count_nonzero(checked)),
         magnitude=np.abs(visibility - 0.5),
     )
+    yield replace(violation, hint=line_hint(f"rows[:, 3] = rows[:, 3].{function}"))
 
 
 @rule("GV028", Severity.ERROR, needs=CELL_RULES, at_moments=True)
@@ -194,6 +198,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=int(np.count_nonzero(checked)),
         magnitude=-min_eigenvalue,
+        can_be_zeroed=True,
     )
 
 

@@ -10,7 +10,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
 from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Statistic, Violation, set_hint
+from gsgen.contract.validation.finding import Statistic, Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -36,7 +36,8 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
         A picture with NaN shows black or white holes.
 
     Hint:
-        Find the division, logarithm or norm that sees zero, and clamp before it.
+        Find the division, logarithm or norm that sees zero, and clamp before it; meanwhile, end on
+        `rows = rows.nan_to_num(0, 0, 0)`.
     """
     for name in probe_runs.subject.output_names:
         for label, value in _outputs(probe_runs, name):
@@ -162,7 +163,8 @@ def picture_keeps_its_place(behaviour: Behaviour) -> Iterator[Violation]:
             f"{words}: the result at {run.probe.label!r} has the correlation {correlation:.2f} "
             f"with the picture so, and {as_it_is:.2f} with the picture as it is"
         )
-        yield _violation(behaviour, actual, "the picture as it is", as_it_is)
+        hint = line_hint(_lines_of_versions().get(words, ""))
+        yield _violation(behaviour, actual, "the picture as it is", as_it_is, hint)
         return
     values = [run for run in behaviour.values if not run.probe.zeros][:_VALUE_PICTURES]
     for run, picture, result in _pictures_of(
@@ -208,7 +210,14 @@ def picture_keeps_contrast(behaviour: Behaviour) -> Iterator[Violation]:
             expected = f"more than {_MIN_CONTRAST_SHARE} of it"
             statistic = Statistic("share of the contrast", share, _MIN_CONTRAST_SHARE)
             where = f"output {manifest.outputs.image.name}"
-            yield Violation.at(where, actual, expected, certainty="possible", statistic=statistic)
+            image = next(iter(behaviour.subject.inputs_of("image")))[0].name
+            hint = (
+                f"If the network takes bytes: {line_hint(f'{image} = {image} * 255', first=True)} "
+                f"{line_hint('rows = rows / 255')} Or declare the range that the network takes."
+            )
+            yield Violation.at(
+                where, actual, expected, certainty="possible", statistic=statistic, hint=hint
+            )
             return
 
 
@@ -249,13 +258,14 @@ def picture_keeps_its_colors(behaviour: Behaviour) -> Iterator[Violation]:
         )
         reading = explain_colors(before, after)
         if reading is not None:
+            line = line_hint(reading.line if output.range == (0, 1) else "")
             yield Violation.at(
                 where,
                 f"{reading.name}: half of the pixels differ at {run.probe.label!r}",
                 "the picture's colours",
                 certainty="possible",
                 statistic=Statistic("error over contrast", reading.declared, 0, MIN_DECLARED_ERROR),
-                hint=reading.hint,
+                hint=f"{reading.hint} {line}".strip(),
             )
             return
     yield from _products_with_alpha(behaviour, where)
@@ -310,7 +320,9 @@ def _seams(result: Picture, span: tuple[float, float]) -> str:
     return ""
 
 
-def _violation(behaviour: Behaviour, actual: str, expected: str, correlation: float) -> Violation:
+def _violation(
+    behaviour: Behaviour, actual: str, expected: str, correlation: float, hint: str = ""
+) -> Violation:
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, PostProcessManifest)
     return Violation.at(
@@ -319,6 +331,7 @@ def _violation(behaviour: Behaviour, actual: str, expected: str, correlation: fl
         expected,
         certainty="possible",
         statistic=Statistic("correlation", correlation, _MIN_OTHER_CORRELATION, 1.0),
+        hint=hint,
     )
 
 
@@ -348,6 +361,20 @@ def _pictures_of(
         blocks = result[0, :3].astype(np.float64)
         blocks = blocks.reshape(3, height, output.scale, width, output.scale)
         yield run, picture[0, :3].astype(np.float64), blocks.mean(axis=(2, 4))
+
+
+def _lines_of_versions() -> dict[str, str]:
+    """Return the lines that undo changes of pictures, by the words of :func:`_best_other_version`."""
+    lines = {
+        "upside down": "rows = rows.flip(2)",
+        "mirrored": "rows = rows.flip(3)",
+        "turned by half a turn": "rows = rows.flip(2, 3)",
+    }
+    for order in permutations(range(3)):
+        name = " ".join("RGB"[channel] for channel in order)
+        inverse = [order.index(channel) for channel in range(3)]
+        lines[f"with channels in the order {name}"] = f"rows[:, :3] = rows[:, {inverse}]"
+    return lines
 
 
 def _correlation(first: Picture, second: Picture) -> float:

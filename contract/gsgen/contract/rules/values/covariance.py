@@ -38,6 +38,7 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
         checked=rows.drawn_count,
         magnitude=-min_variance,
         cause=cause,
+        can_be_zeroed=True,
     )
 
 
@@ -72,6 +73,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         checked=rows.drawn_count,
         magnitude=-min_eigenvalue,
+        can_be_zeroed=True,
     )
 
 
@@ -92,4 +94,5 @@ def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
         rows.trace,
         "a trace above 0",
         checked=rows.drawn_count,
+        can_be_zeroed=True,
     )

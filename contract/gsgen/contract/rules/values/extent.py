@@ -136,6 +136,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
         f"variances up to {diagonal**2:.4g}, the squared diagonal of the bounds",
         checked=rows.drawn_count,
         magnitude=rows.max_variance,
+        can_be_zeroed=True,
     )
 
 

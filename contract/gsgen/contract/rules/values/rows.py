@@ -14,7 +14,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE_SHARE, OPACITY, OPACITY_SLACK
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, line_hint
 from gsgen.contract.validation.gates import ORDERED_ROWS, PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -69,7 +69,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
 
     Hint:
         Find the division, logarithm or norm that sees zero, and clamp before it; to hide such rows
-        meanwhile, return `torch.where(rows.isfinite().all(1, True), rows, 0)`. Where float16
+        meanwhile, end on `rows = torch.where(rows.isfinite().all(1, True), rows, 0)`. Where float16
         overflows, scale the scene or emit float32. The row and the probe are given.
     """
     yield from _nonfinite_violations(rows, rows.counted, rows.live_rows)
@@ -117,6 +117,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         checked=rows.live_rows,
         magnitude=np.abs(opacity - 0.5),
         cause=cause,
+        can_be_zeroed=True,
     )
 
 
@@ -167,7 +168,12 @@ def _saturation_violation(
     saturated_mask = (max_magnitude >= FLOAT16_MAX) & rows.counted & rows.finite
     expected = f"magnitudes below {FLOAT16_MAX:g}"
     return Violation.rows(
-        Location(subject), saturated_mask, max_magnitude, expected, checked=rows.live_rows
+        Location(subject),
+        saturated_mask,
+        max_magnitude,
+        expected,
+        checked=rows.live_rows,
+        can_be_zeroed=True,
     )
 
 
@@ -193,7 +199,10 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     value = emission.outputs[declared.name].reshape(-1)
     if value.size and not 0 <= int(value[0]) <= capacity:
         expected = f"0 to {capacity}, the capacity"
-        yield Violation.at(f"output {declared.name}", f"count {int(value[0])}", expected)
+        line = line_hint(f"{declared.name} = {declared.name}.clamp(0, {capacity})")
+        hint = line if value[0] > 0 else ""
+        actual = f"count {int(value[0])}"
+        yield Violation.at(f"output {declared.name}", actual, expected, hint=hint)
 
 
 @rule("GV018", Severity.ERROR, needs=(*ORDERED_ROWS, "GV032"), at_moments=True)
