@@ -92,6 +92,15 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         r"annotations\[0\]\.normal: is \[0, 1\], expected 3 numbers",
     ),
     "annotations": ({"models": [A], "annotations": NOTE}, r"annotations: is .* expected a list"),
+    "sound_path": ({"models": [A], "sound": {"start": 1}}, r"sound\.path: is missing, expected text"),
+    "sound_start": (
+        {"models": [A], "sound": A | {"start": "now"}},
+        r"sound\.start: is 'now', expected a number",
+    ),
+    "sound_field": (
+        {"models": [A], "sound": A | {"caption": "a.vtt"}},
+        r"sound: unknown field 'caption'\n.*'captions'",
+    ),
     "background": ({"models": [A], "background": "puce"}, "background: 'puce' is not a colour"),
     "numbers": ({"models": [A], "background": [1, 2, 3]}, "background: '1,2,3' is not a colour"),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
@@ -191,6 +200,7 @@ READ: list[dict[str, Any]] = [
             "keys": [{"at": 0, "value": "orbit:30,20,4"}, {"at": 3, "value": "orbit:90,2,1"}]
         },
         "timeline": {"fps": 30, "loop": True},
+        "sound": {"path": "a.wav", "start": -0.5, "captions": "a.vtt"},
         "posts": ["b.onnx", {"path": "c.onnx", "inputs": {"style": {"keys": [KEY]}, "a": [1, 2]}}],
     },
 ]

@@ -49,7 +49,7 @@ def validate(
     settings, registry = settings or Settings(), registry or installed_rules()
     if settings.only:
         registry = registry.with_needs(settings.only)
-    models = registry.of_scope(tilesets=False)
+    models = registry.of_files("model")
     return validate_with(models, _on_disk(Path(path)), settings, progress=progress)
 
 

@@ -14,6 +14,7 @@ import onnx
 from gsgen.conformance.fixtures import Fixture, example_model_of_rule, find, fixtures
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.tiles.validation.fixtures import tiles_fixtures
+from gsgen.tiles.validation.scene_fixtures import scene_fixtures
 
 _MAX_LINES: Final = 14  # of a page's code
 _MAX_GOOD: Final = 6  # good lines where the bad ones name other things
@@ -108,9 +109,8 @@ def _lines(fixture: Fixture) -> tuple[str, ...]:
 
 @cache
 def _right_models() -> tuple[tuple[str, ...], ...]:
-    return tuple(
-        _lines(fixture) for fixture in (*fixtures(), *tiles_fixtures()) if not fixture.rule
-    )
+    files = (*tiles_fixtures(), *scene_fixtures())
+    return tuple(_lines(fixture) for fixture in (*fixtures(), *files) if not fixture.rule)
 
 
 @cache

@@ -56,7 +56,7 @@ def levels(report):
 def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     report = validate(good)
     assert (report.verdict, report.findings) == ("conforms", ())
-    models = all_rules().of_scope(tilesets=False)
+    models = all_rules().of_files("model")
     assert list(statuses(report)) == list(models.rules)
     assert len(models.rules) < len(all_rules().rules)
     checked_statuses = [

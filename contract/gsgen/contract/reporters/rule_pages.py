@@ -20,6 +20,7 @@ FAMILY_TITLES = {
     "TV": "The Visionary viewer",
     "GW": "Waivers",
     "GT": "Tilesets",
+    "GC": "Scene files",
 }
 
 

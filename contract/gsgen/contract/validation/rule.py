@@ -27,7 +27,7 @@ from gsgen.contract.validation.waivers import Review
 
 # What a check is given: the model before it runs, its runs, the outputs of one probe, a chunk of
 # their rows, a sample of drawn rows of one probe, comparisons of all runs, the context of a level
-# backend (live, render), the findings of all other rules, or a tileset.
+# backend (live, render), the findings of all other rules, a tileset, or a scene file.
 Scope = Literal[
     "model",
     "execution",
@@ -39,6 +39,7 @@ Scope = Literal[
     "render",
     "report",
     "tileset",
+    "scene",
 ]
 Check = Callable[[Any], Iterator[Violation]]
 
@@ -67,6 +68,7 @@ _LEVEL_OF_SCOPE: dict[Scope, Level] = {
     "render": Level.RENDER,
     "report": Level.STATIC,
     "tileset": Level.STATIC,
+    "scene": Level.STATIC,
 }
 
 
@@ -149,7 +151,8 @@ def rule(
         limit: The limit of the target that it checks.
         settled_by: Rules of the level live that measure what this one predicts.
         explained_by: Rules of later levels whose fault causes this one's violations.
-        over: The scope, where the argument is the context of a level backend or a tileset.
+        over: The scope, where the argument is the context of a level backend, a tileset or a scene
+            file.
         level: The first level that can check it; by default, that of the scope.
         at_moments: Check it at named moments, too: for rules that hold for every single run.
 
@@ -258,10 +261,13 @@ class Registry:
             backend_by_level[backend.level] = backend
         return cls(rule_by_id, backend_by_level)
 
-    def of_scope(self, *, tilesets: bool) -> "Registry":
-        """Return a registry with only the rules for 3D Tiles tilesets, or only the other rules."""
+    def of_files(self, kind: Literal["model", "tileset", "scene"]) -> "Registry":
+        """Return a registry with only the rules for models, for 3D Tiles or for scene files."""
+        others = {"tileset", "scene"}
         scope_rules = {
-            id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
+            id: rule
+            for id, rule in self.rules.items()
+            if (rule.scope if rule.scope in others else "model") == kind
         }
         return Registry(scope_rules, self.backends)
 

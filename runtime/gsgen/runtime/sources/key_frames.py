@@ -1,9 +1,10 @@
-"""Key frames of scene files: numbers that go from one value to the next over time."""
+"""The timeline of scene files: key frames, which go from one value to the next, and sound."""
 
-__all__ = ["DEFAULT_FPS", "EASINGS", "Animation", "KeyFrames", "Span"]
+__all__ = ["DEFAULT_FPS", "EASINGS", "Animation", "KeyFrames", "SceneSound", "Span"]
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -86,3 +87,19 @@ class Animation:
 
     span: Span
     keys: Mapping[str, KeyFrames] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneSound:
+    """A recording that plays with a timeline, on which it keeps its place.
+
+    Attributes:
+        path: The recording; a WAV file for films.
+        start: Seconds of the timeline at which it begins; below 0, its beginning is cut off.
+        captions: A WebVTT file, whose times are those of the recording; None without.
+    """
+
+    path: Path
+    start: float = 0.0
+    captions: Path | None = None

@@ -1,8 +1,9 @@
 """Reads typed fields of a scene file by name; unknown fields are errors."""
 
-__all__ = ["Fields", "fields_of", "read_transform", "refuse"]
+__all__ = ["Fields", "fields_of", "read_sound_entry", "read_transform", "refuse"]
 
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import NoReturn, TypeVar, cast, final
 
 import numpy as np
@@ -12,7 +13,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.transforms import require_affine
-from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames
+from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames, SceneSound
 
 _MAX_NUMBER = 1e12
 ChoiceText = TypeVar("ChoiceText", bound=str)
@@ -281,3 +282,18 @@ def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
     if not np.linalg.norm(rotation) > 0:
         fields.refuse("rotate", "is the quaternion 0 0 0 0, expected one with a length")
     return np.asarray(rotation_matrix(rotation[None])[0])
+
+
+def read_sound_entry(fields: Fields, folder: Path) -> SceneSound | None:
+    """Read the field ``sound`` of a scene file in a folder; None if it is absent."""
+    if not fields.has_field("sound"):
+        return None
+    nested_fields = fields.nested_fields("sound")
+    captions = nested_fields.text("captions")
+    sound = SceneSound(
+        path=folder / nested_fields.required_text("path"),
+        start=nested_fields.number("start") or 0.0,
+        captions=None if captions is None else folder / captions,
+    )
+    nested_fields.close()
+    return sound

@@ -29,12 +29,18 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.colors import color_of
 from gsgen.runtime.scene.mesh import SHADINGS, Shading
 from gsgen.runtime.scene.scene import Box
-from gsgen.runtime.sources.key_frames import DEFAULT_FPS, Animation, KeyFrames, Span
+from gsgen.runtime.sources.key_frames import DEFAULT_FPS, Animation, KeyFrames, SceneSound, Span
 from gsgen.runtime.sources.mesh_files import read_mesh
 from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
-from gsgen.runtime.sources.scene_fields import Fields, fields_of, read_transform, refuse
+from gsgen.runtime.sources.scene_fields import (
+    Fields,
+    fields_of,
+    read_sound_entry,
+    read_transform,
+    refuse,
+)
 from gsgen.runtime.sources.segmented_source import Segment, SegmentedSource, read_segments
 from gsgen.runtime.sources.source import Source
 from gsgen.runtime.sources.stream_settings import StreamOpener
@@ -148,6 +154,7 @@ class SceneFile:
         kind: ``pinhole``, ``orthographic`` or ``panorama``, if ``camera`` is no camera.
         span: The timeline; None if nothing has key frames and there is none.
         annotations: Texts at points of the world.
+        sound: A recording that plays with the timeline.
     """
 
     path: Path
@@ -163,6 +170,7 @@ class SceneFile:
     kind: Literal["pinhole", "orthographic", "panorama"] | None = None
     span: Span | None = None
     annotations: tuple[SceneAnnotation, ...] = ()
+    sound: SceneSound | None = None
 
 
 def is_scene_file(path: Path) -> bool:
@@ -190,9 +198,8 @@ def read_scene(path: str | Path) -> SceneFile:
     models = tuple(_read_model_entry(part, file.parent) for part in fields.parts("models"))
     meshes = tuple(_read_mesh(part, file.parent) for part in fields.parts("meshes"))
     if not models and not meshes:
-        refuse(
-            "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
-        )
+        hint = "Name a file in `models`."
+        refuse("the scene file has neither models nor meshes", str(file), hint)
     posts = tuple(_read_post(part, file.parent) for part in fields.parts("posts"))
     camera = _camera(fields, file.parent)
     keyed = [keys for model in models for keys in model.keys.values()]
@@ -213,6 +220,7 @@ def read_scene(path: str | Path) -> SceneFile:
         kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
         span=_span(fields, max([keys.times[-1] for keys in keyed] + lengths, default=0.0)),
         annotations=tuple(_read_annotation(part) for part in fields.parts("annotations")),
+        sound=read_sound_entry(fields, file.parent),
     )
     fields.close()
     return scene_file
@@ -251,17 +259,13 @@ def open_scene(
 
     with ExitStack() as exit_stack:
         sources: list[Source] = []
-        for model in scene_file.models:
-            if not model.visible:
-                continue
+        for model in (model for model in scene_file.models if model.visible):
             sources.append(_open_model(model, open_file, scene_file.span))
             exit_stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes if _is_drawn(mesh)]
         if not sources:
-            message, hint = (
-                "nothing of the scene is drawn here",
-                "See it in a page: gsgen view --web",
-            )
+            message = "nothing of the scene is drawn here"
+            hint = "See it in a page: gsgen view --web"
             raise SceneInvalid(message, where=str(scene_file.path), hint=hint)
         exit_stack.pop_all()  # from here on the caller closes the sources
     if scene_file.annotations:

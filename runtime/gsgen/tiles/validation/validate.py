@@ -1,6 +1,6 @@
-"""Validates a tileset, or one content file, by the tileset rules (GT)."""
+"""Validates a tileset or one content file by the rules GT, and a scene file by the rules GC."""
 
-__all__ = ["validate"]
+__all__ = ["validate", "validate_scene"]
 
 import hashlib
 import os
@@ -10,7 +10,7 @@ from contextlib import suppress
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.engine import Progress, ignore_progress
@@ -25,7 +25,8 @@ from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
 from gsgen.tiles.validation.inspected import InspectedTileset
-from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.inspected_scene import inspect_scene
+from gsgen.tiles.validation.kinds import SCENE, TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules import all_rules
 
 _CONTENT_SUFFIXES: Final = (".glb", ".gltf")
@@ -50,12 +51,9 @@ def validate(
         progress: Called with a few words whenever a new stage begins.
     """
     start = time.perf_counter()
-    path, registry = Path(path), registry or all_rules()
-    settings = (settings or Settings()).for_model(path)
-    if settings.only:
-        registry = registry.with_needs(settings.only)
+    path = Path(path)
+    settings, registry = _settings_and_rules(path, settings, registry, "tileset")
     progress(f"reading {path.name}")
-    registry = registry.of_scope(tilesets=True)
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET
     kinds = _CONTENT_KINDS if kind == TILE_CONTENT else ()
     store, index = open_store(path, kinds=(*TILESET_KINDS, *kinds))
@@ -64,11 +62,79 @@ def validate(
         results = ResultCollector(registry=registry, settings=settings, kind=kind)
         _check_tileset(results, inspected, settings.level, progress)
         size, digest = _index_digest(store, index)
-    rules = [results.outcomes[id] for id in registry.rules]
+    levels = _level_outcomes(settings.level, inspected)
+    return _report(address_of(path) or str(path), results, levels, start, size, digest)
+
+
+def validate_scene(
+    path: str | os.PathLike[str],
+    settings: Settings | None = None,
+    *,
+    registry: Registry | None = None,
+    progress: Progress = ignore_progress,
+) -> Report:
+    """Validate a scene file by the rules of its fields, segments and sound; return the report.
+
+    The models that it names have reports of their own.
+
+    Args:
+        path: The scene file.
+        settings: How far to go (static: fields, files and manifests; values: segments are run
+            around their seams), and severities.
+        registry: The rules to check; by default, all installed rules.
+        progress: Called with a few words whenever a new stage begins.
+    """
+    start = time.perf_counter()
+    path = Path(path)
+    settings, registry = _settings_and_rules(path, settings, registry, "scene")
+    progress(f"reading {path.name}")
+    shows = settings.level >= Level.VALUES
+    inspected = inspect_scene(path, settings.limits, shows=shows, progress=progress)
+    results = ResultCollector(registry=registry, settings=settings, kind=SCENE)
+    for rule in _in_dependency_order(registry.rules.values()):
+        if not results.is_ready(rule):
+            continue
+        if rule.level > settings.level:
+            results.skip([rule], f"level {rule.level.word} was not asked for")
+        elif rule.level is Level.VALUES and inspected.unshown_reason:
+            results.skip([rule], inspected.unshown_reason)
+        else:
+            results.check(rule, inspected)
+            results.settle([rule], items=max(len(inspected.clips), 1))
+    levels = [LevelOutcome(level=Level.STATIC, ran=True)]
+    if shows:
+        reason = inspected.unshown_reason
+        levels.append(LevelOutcome(level=Level.VALUES, ran=not reason, reason=reason))
+    data = path.read_bytes()
+    return _report(str(path), results, levels, start, len(data), hashlib.sha256(data).hexdigest())
+
+
+def _settings_and_rules(
+    path: Path,
+    settings: Settings | None,
+    registry: Registry | None,
+    files: Literal["tileset", "scene"],
+) -> tuple[Settings, Registry]:
+    """Return the settings for a file, and the rules for its kind that they select."""
+    settings, registry = (settings or Settings()).for_model(path), registry or all_rules()
+    if settings.only:
+        registry = registry.with_needs(settings.only)
+    return settings, registry.of_files(files)
+
+
+def _report(
+    path: str,
+    results: ResultCollector,
+    levels: Iterable[LevelOutcome],
+    start: float,
+    size: int,
+    digest: str,
+) -> Report:
+    settings = results.settings
     return Report(
-        path=address_of(path) or str(path),
+        path=path,
         size=size,
-        kind=kind,
+        kind=results.kind,
         name="",
         contract="",
         capacity=None,
@@ -76,8 +142,8 @@ def validate(
         level=settings.level,
         fail_on=settings.fail_on,
         findings=apply_waivers(results.findings(), settings.waivers, settings.today),
-        outcomes=tuple(rules),
-        levels=tuple(_level_outcomes(settings.level, inspected)),
+        outcomes=tuple(results.outcomes[id] for id in results.registry.rules),
+        levels=tuple(levels),
         environment={"gsgen": version("gsgen")},
         settings=settings.source,
         seconds=time.perf_counter() - start,

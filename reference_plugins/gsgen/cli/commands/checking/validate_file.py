@@ -1,4 +1,4 @@
-"""Validates one file by the rules of its kind: a model, or a tileset, which gsgen.tiles reads."""
+"""Validates one file by the rules of its kind: a model, a tileset, or a scene file."""
 
 __all__ = ["every_rule", "is_tileset", "validate_file"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.validator import validate
 
 
 def is_tileset(path: Path) -> bool:
-    """Return whether a path names a tileset, or a file with the content of a tile."""
+    """Return whether a path names a scene file, a tileset, or a file with the content of a tile."""
     if path.suffix.lower() == MODEL_SUFFIX:
         return False
     from gsgen.formats.tileset_paths import names_tileset_or_content
@@ -22,16 +22,21 @@ def is_tileset(path: Path) -> bool:
 
 
 def validate_file(path: Path, settings: Settings, progress: Progress) -> Report:
-    """Validate a model, a tileset or a tile's content, and return the report."""
+    """Validate a model, a scene file, a tileset or a tile's content, and return the report."""
     if not is_tileset(path):
         return validate(path, settings, progress=progress)
+    from gsgen.formats.tileset_paths import INDEX_FILE
+    from gsgen.runtime.sources.scene_file import is_scene_file
     from gsgen.tiles.validation.validate import validate as validate_tileset
+    from gsgen.tiles.validation.validate import validate_scene
 
+    if path.name != INDEX_FILE and is_scene_file(path):
+        return validate_scene(path, settings, progress=progress)
     return validate_tileset(path, settings, progress=progress)
 
 
 def every_rule() -> Registry:
-    """Return all installed rules: those of models, and those of tilesets."""
+    """Return all installed rules: those of models, of tilesets and of scene files."""
     from gsgen.tiles.validation.rules import all_rules
 
     return all_rules()

@@ -114,6 +114,9 @@ export function readScene(document, name, warn) {
   const camera = cameraOf(fields, up, warn);
   const background = backgroundOf(fields);
   const annotations = fields.parts("annotations").map((part) => annotationOf(part, up));
+  const sound = fields.nested("sound");
+  sound?.close([sound.required("path"), sound.read("start", isNumber, "a number"), sound.read("captions", isText, "text")]);
+  if (sound) warn("sound", "is not played in pages");
   const timeline = fields.nested("timeline");
   const keyed = [camera, ...[...models, ...posts].flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
   const lengths = models.map(({ segments }) => segments.reduce((sum, segment) => sum + segment.seconds, 0));
@@ -211,9 +214,7 @@ function turnOf(fields) {
     const axis = nested.read("axis", isList(3), "3 numbers");
     const degrees = nested.read("degrees", isNumber, "a number");
     nested.close();
-    if (!axis || degrees === null || !Math.hypot(...axis)) {
-      fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]');
-    }
+    if (!axis || degrees === null || !Math.hypot(...axis)) fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]');
     const half = (degrees * Math.PI) / 360;
     quaternion = [Math.cos(half), ...axis.map((part) => (Math.sin(half) * part) / Math.hypot(...axis))];
   }
@@ -227,9 +228,7 @@ function clipOf(fields) {
   if (!nested) return null;
   const [low, high] = ["low", "high"].map((name) => nested.read(name, isList(3), "3 numbers"));
   nested.close();
-  if (!low || !high || low.some((part, axis) => part > high[axis])) {
-    fields.refuse("clip", 'expected {"low": [x, y, z], "high": [x, y, z]} with low <= high');
-  }
+  if (!low || !high || low.some((part, axis) => part > high[axis])) fields.refuse("clip", 'expected {"low": [x, y, z], "high": [x, y, z]} with low <= high');
   return { low, high };
 }
 
@@ -300,9 +299,7 @@ function cameraOf(fields, up, warn) {
     return numbers && orbitOf(numbers, up);
   }
   if (!value) return null;
-  if (isKeyed(value)) {
-    return { keys: keysOf(fields.nested("camera"), placeOf, CAMERA_FORMS) };
-  }
+  if (isKeyed(value)) return { keys: keysOf(fields.nested("camera"), placeOf, CAMERA_FORMS) };
   const { view, fx, fy, cx, cy, width, height, kind = "pinhole", distortion } = value;
   if (!isMatrix(view) || ![fx, fy, cx, cy, width, height].every(isNumber)) {
     fields.refuse("camera", "is no camera: expected view, fx, fy, cx, cy, width and height");

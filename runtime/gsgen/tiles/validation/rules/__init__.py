@@ -1,4 +1,4 @@
-"""Which rules (GT) must hold for a tileset of splats?"""
+"""Which rules must hold for a tileset of splats (GT), and for a scene file (GC)?"""
 
 __all__ = ["TILESET_RULES", "all_rules"]
 
@@ -24,6 +24,7 @@ from gsgen.tiles.validation.rules.files import (
 )
 from gsgen.tiles.validation.rules.neural import neural_content
 from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
+from gsgen.tiles.validation.rules.scenes import SCENE_RULES
 from gsgen.tiles.validation.rules.structure import (
     child_in_parent,
     geometric_error_falls,
@@ -67,6 +68,7 @@ TILESET_RULES = (
 
 @cache
 def all_rules() -> Registry:
-    """Return all installed rules: those of models, and those of tilesets."""
+    """Return all installed rules: those of models, of tilesets and of scene files."""
     models = installed_rules()
-    return Registry.from_rules([*models.rules.values(), *TILESET_RULES], models.backends.values())
+    rules = [*models.rules.values(), *TILESET_RULES, *SCENE_RULES]
+    return Registry.from_rules(rules, models.backends.values())

@@ -1,0 +1,70 @@
+"""The rules GC of scene files and their fixtures prove each other."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from gsgen.conformance.fixtures import Fixture
+from gsgen.contract import Level, Report, Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.tiles.validation.rules import all_rules
+from gsgen.tiles.validation.rules.scenes import SCENE_RULES
+from gsgen.tiles.validation.scene_fixtures import scene_fixtures
+from gsgen.tiles.validation.validate import validate_scene
+
+FIXTURES = scene_fixtures()
+BROKEN = [fixture for fixture in FIXTURES if fixture.rule]
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Fixture], Report]:
+    @cache
+    def judged(fixture: Fixture) -> Report:
+        return validate_scene(fixture.write(tmp_path_factory.mktemp("s")), fixture.settings)
+
+    return judged
+
+
+@pytest.mark.parametrize("fixture", FIXTURES, ids=lambda fixture: fixture.name)
+def test_a_scene_breaks_its_rule_and_no_other(
+    fixture: Fixture, judge: Callable[[Fixture], Report]
+) -> None:
+    report = judge(fixture)
+    message = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
+    assert {finding.rule for finding in report.findings} == {fixture.rule} - {""}, message
+    is_error = bool(fixture.rule) and all_rules().rules[fixture.rule].severity is Severity.ERROR
+    assert report.verdict == ("invalid" if is_error else "conforms")
+    for outcome in report.outcomes:
+        assert outcome.status != "crashed", outcome.reason
+        assert outcome.status == "pass" or outcome.rule.id == fixture.rule or outcome.reason
+    if not fixture.rule:
+        assert {outcome.status for outcome in report.outcomes} == {"pass"}
+
+
+def silent_check(_: object) -> Iterator[Violation]:
+    yield from ()
+
+
+@pytest.mark.parametrize("rule", SCENE_RULES, ids=lambda rule: rule.id)
+def test_a_fixture_fails_by_its_rule_alone(rule: Rule, tmp_path: Path) -> None:
+    fixture = next(entry for entry in BROKEN if entry.rule == rule.id)
+    rules = [
+        replace(entry, check=silent_check) if entry.id == rule.id else entry
+        for entry in SCENE_RULES
+    ]
+    level = Level.STATIC if rule.level is Level.STATIC else Level.VALUES
+    report = validate_scene(
+        fixture.write(tmp_path),
+        replace(fixture.settings, level=level),
+        registry=Registry.from_rules(rules),
+    )
+    assert rule.id not in {finding.rule for finding in report.findings}
+
+
+def test_ids_and_fixtures_are_complete() -> None:
+    assert [rule.id for rule in SCENE_RULES] == [f"GC{number:03}" for number in range(1, 8)]
+    assert {rule.id for rule in SCENE_RULES} == {fixture.rule for fixture in BROKEN}
