@@ -70,7 +70,7 @@ def test_what_python_reads_has_the_same_values(
     for document, result in zip(READ, results[len(WRONG) :], strict=True):
         path.write_text(json.dumps(document), "utf-8")
         expected = read_scene(path)
-        assert result["warnings"] == []
+        assert result["warnings"] == (["sound is not played in pages"] if expected.sound else [])
         scene = result["scene"]
         for model, own in zip(scene["models"], expected.models, strict=True):
             transform = np.reshape(model["transform"], (4, 4))
