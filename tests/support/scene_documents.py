@@ -92,7 +92,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         r"annotations\[0\]\.normal: is \[0, 1\], expected 3 numbers",
     ),
     "annotations": ({"models": [A], "annotations": NOTE}, r"annotations: is .* expected a list"),
-    "sound_path": ({"models": [A], "sound": {"start": 1}}, r"sound\.path: is missing, expected text"),
+    "sound_path": (
+        {"models": [A], "sound": {"start": 1}},
+        r"sound\.path: is missing, expected text",
+    ),
     "sound_start": (
         {"models": [A], "sound": A | {"start": "now"}},
         r"sound\.start: is 'now', expected a number",

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.media.mp4 import encode
+from gsgen.runtime.media.mp4 import Sound, encode
 
 
 def _moving(count: int, size: tuple[int, int] = (64, 48)) -> list[Image.Image]:
@@ -72,3 +72,22 @@ def test_frames_of_several_sizes_are_refused() -> None:
         encode([*_moving(2, (16, 16)), *_moving(1, (32, 16))], 25)
     with pytest.raises(SceneInvalid, match="frames have several sizes"):
         encode([*_moving(48, (16, 16)), *_moving(3, (32, 16))], 25)
+
+
+def test_sound_is_stored_beside_the_frames() -> None:
+    """The samples are where the second track's table says, and the frames where the first one's does."""
+    samples = np.random.default_rng(0).uniform(-1.1, 1, 3000).astype(np.float32)
+    film = encode(_moving(5, (16, 16)), 10, Sound(samples=samples, rate=6000))
+    track = film[film.index(b"soun") :]
+    assert int.from_bytes(track[(entry := track.index(b"ipcm")) + 28 :][:2], "big") == 6000, entry
+    assert track[track.index(b"pcmC") + 8 :][:2] == bytes([1, 16])
+    count, offset = (
+        int.from_bytes(track[track.index(kind) + place :][:4], "big")
+        for kind, place in ((b"stsz", 12), (b"stco", 12))
+    )
+    assert count == len(samples)
+    stored = np.frombuffer(film[offset : offset + 2 * count], "<i2")
+    np.testing.assert_allclose(stored / 2**15, np.clip(samples, -1, 1), atol=1.01 / 2**15)
+    assert offset + 2 * count == len(film)
+    read = _as_sequence(film.replace(b"soun", b"none"))
+    assert getattr(read, "n_frames", None) == 5

@@ -1,5 +1,6 @@
 """Sound of WAV files as a model hears it: the newest samples before each frame."""
 
+import json
 import wave
 from pathlib import Path
 
@@ -9,7 +10,10 @@ import pytest
 from gsgen.conformance.fixtures.valid.avatars import sound_model
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import Input
-from gsgen.runtime.playback.sound_tracks import read_sound, sound_track
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.runtime.playback.sound_tracks import film_sound, read_sound, sound_track
+from gsgen.runtime.sources.key_frames import SceneSound
 from support.commands import gsgen_here
 
 RATE = 1000
@@ -101,3 +105,36 @@ def test_a_film_is_as_long_as_its_sound(tmp_path: Path) -> None:
     completed = gsgen_here(*words, "--input", "speech=speech.wav", cwd=tmp_path)
     assert completed.code == 2
     assert "names the input 'speech', which no scene has" in completed.err
+
+
+@pytest.mark.parametrize("start", [0.0, 0.25, -0.125, -2.0, 5.0, 0.9])
+def test_a_recording_keeps_its_place_on_the_timeline(tmp_path: Path, start: float) -> None:
+    samples = noise(400)
+    path = write_wav(tmp_path / "a.wav", samples.tobytes())
+    sound = film_sound(SceneSound(path=path, start=start), 1.0)
+    assert (sound.rate, len(sound.samples)) == (RATE, RATE)
+    for number, sample in enumerate(sound.samples):
+        place = number - round(start * RATE)
+        assert sample == (samples[place] / 2**15 if 0 <= place < 400 else 0)
+
+
+def test_a_film_of_segments_is_heard_from_its_start(tmp_path: Path) -> None:
+    """However the clip is cut, a sample is heard at its second; a film of another length is silent."""
+    write_ply(tmp_path / "a.ply", torus_knot(20))
+    samples = noise(300)
+    write_wav(tmp_path / "speech.wav", samples.tobytes())
+    films = []
+    for lengths in ([0.4], [0.1, 0.3]):
+        segments = [{"path": "a.ply", "seconds": seconds} for seconds in lengths]
+        scene = {"models": [{"segments": segments, "capacity": 20}], "timeline": {"fps": 10}}
+        scene["sound"] = {"path": "speech.wav", "start": 0.1}  # type: ignore[assignment]
+        (tmp_path / "scene.json").write_text(json.dumps(scene))
+        words = ("render", "scene.json", "-o", "film.mp4", "--size", "24x16")
+        completed = gsgen_here(*words, cwd=tmp_path)
+        assert completed.code == 0, completed.err
+        films.append((tmp_path / "film.mp4").read_bytes())
+    assert films[0] == films[1]
+    assert films[0].endswith(bytes(200) + samples.tobytes() + bytes(2 * (500 - 400)))
+    completed = gsgen_here(*words, "--fps", "30", cwd=tmp_path)
+    assert "the film is silent" in completed.err
+    assert b"soun" not in (tmp_path / "film.mp4").read_bytes()

@@ -2,10 +2,10 @@
 
 The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So no codec
 with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
-sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2.
+sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2. Sound is PCM: ISO/IEC 23003-5.
 """
 
-__all__ = ["encode", "require_encoder"]
+__all__ = ["Sound", "encode", "require_encoder"]
 
 import io
 import struct
@@ -15,6 +15,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
+from jaxtyping import Float32
 
 from gsgen.runtime.errors import SceneInvalid
 
@@ -32,8 +33,28 @@ _ENTRY_FIELDS: Final = 8 + 78  # bytes of a visual sample entry before its boxes
 _IDENTITY_MATRIX: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 
 
-def encode(pictures: Iterable["Image"], fps: float) -> bytes:
+@final
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sound:
+    """The sound of a film: samples in [−1, 1), and how many a second."""
+
+    samples: Float32[np.ndarray, " n"]
+    rate: int
+
+    @property
+    def data(self) -> bytes:
+        """The samples as little-endian integers of 16 bits."""
+        whole = np.clip(np.rint(self.samples * 2**15), -(2**15), 2**15 - 1)
+        return bytes(whole.astype("<i2").tobytes())
+
+
+def encode(pictures: Iterable["Image"], fps: float, sound: Sound | None = None) -> bytes:
     """Encode pictures of one size as an MP4 file, with few of them in memory at a time.
+
+    Args:
+        pictures: The frames.
+        fps: Frames a second.
+        sound: What is heard from the first frame on; None for a silent film.
 
     Raises:
         SceneInvalid: Pillow has no AV1 encoder, the pictures differ in size, or the video
@@ -45,16 +66,24 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     samples = [sample for group in groups for sample in group.samples]
     first_samples = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
     ftyp_box = _mp4_box(b"ftyp", b"isom", _uint32_bytes(0x200), b"isomiso6av01mp41")
-    # The table of contents stores the offset of the samples, which depends on the table's length.
-    # The length does not depend on the offset, so the table is built twice.
-    size = len(ftyp_box) + len(_moov_box(groups[0], samples, first_samples.tolist(), fps, 0)) + 8
-    if size + sum(map(len, samples)) >= _MAX_BYTES:
+    heard = b"" if sound is None else sound.data
+
+    def moov(offset: int) -> bytes:
+        """Return the table of contents of samples that begin at byte ``offset``."""
+        tracks = [_video_track(groups[0], samples, first_samples.tolist(), fps, offset)]
+        if sound is not None:
+            tracks.append(_sound_track(sound, fps, offset + sum(map(len, samples))))
+        return _moov_box(tracks, len(samples), fps)
+
+    # The table stores the offset of the samples, which depends on the table's length. The length
+    # does not depend on the offset, so the table is built twice.
+    size = len(ftyp_box) + len(moov(0)) + 8
+    if size + sum(map(len, samples)) + len(heard) >= _MAX_BYTES:
         raise SceneInvalid(
             f"the {len(samples):,} frames take more than 4 GiB, the limit of an .mp4 file",
             hint="Draw the video in parts, or smaller.",
         )
-    moov = _moov_box(groups[0], samples, first_samples.tolist(), fps, size)
-    return b"".join([ftyp_box, moov, _mp4_box(b"mdat", *samples)])
+    return b"".join([ftyp_box, moov(size), _mp4_box(b"mdat", *samples, heard)])
 
 
 def require_encoder() -> None:
@@ -138,41 +167,71 @@ def _mp4_sample_entry(avif: bytes) -> bytes:
     return _mp4_box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
 
 
-def _moov_box(
+def _moov_box(tracks: Sequence[bytes], frames: int, fps: float) -> bytes:
+    """Return the MP4 box ``moov`` of a film of some frames."""
+    rate, duration = round(_TICKS_PER_SECOND * fps), _TICKS_PER_SECOND * frames
+    header = _uint32_bytes(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
+    last = _uint32_bytes(len(tracks) + 1)
+    return _mp4_box(b"moov", _mp4_box(b"mvhd", header, _IDENTITY_MATRIX, bytes(24), last), *tracks)
+
+
+def _video_track(
     group: _Group, samples: Sequence[bytes], first_samples: Sequence[int], fps: float, offset: int
 ) -> bytes:
-    """Return the MP4 box ``moov`` for consecutive samples that begin at byte ``offset``."""
-    duration = _TICKS_PER_SECOND * len(samples)
-    rate = round(_TICKS_PER_SECOND * fps)
-    table = _mp4_box(
-        b"stbl",
+    """Return the MP4 box ``trak`` of consecutive frames that begin at byte ``offset``."""
+    table = [
         _mp4_box(b"stsd", _uint32_bytes(0, 1), group.entry),
         _mp4_box(b"stts", _uint32_bytes(0, 1, len(samples), _TICKS_PER_SECOND)),
         _mp4_box(b"stss", _uint32_bytes(0, len(first_samples), *first_samples)),
         _mp4_box(b"stsc", _uint32_bytes(0, 1, 1, len(samples), 1)),
         _mp4_box(b"stsz", _uint32_bytes(0, 0, len(samples), *map(len, samples))),
         _mp4_box(b"stco", _uint32_bytes(0, 1, offset)),
+    ]
+    rate, duration = round(_TICKS_PER_SECOND * fps), _TICKS_PER_SECOND * len(samples)
+    header = _mp4_box(b"vmhd", _uint32_bytes(1, 0, 0))
+    # Flags enabled and in movie; track 1.
+    fields = _uint32_bytes(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)
+    size = _uint32_bytes(group.width << 16, group.height << 16)
+    media = _media_box(b"vide", rate, duration, header, table)
+    return _mp4_box(b"trak", _mp4_box(b"tkhd", fields, _IDENTITY_MATRIX, size), media)
+
+
+def _sound_track(sound: Sound, fps: float, offset: int) -> bytes:
+    """Return the MP4 box ``trak`` of PCM samples that begin at byte ``offset``."""
+    count = len(sound.samples)
+    config = _mp4_box(b"pcmC", _uint32_bytes(0), bytes([1, 16]))  # little-endian, 16 bits
+    entry = _mp4_box(
+        b"ipcm",
+        _uint32_bytes(0, 1, 0, 0),  # of the first data reference
+        struct.pack(">HHI", 1, 16, 0),  # one channel
+        _uint32_bytes(sound.rate << 16),
+        config,
     )
+    table = [
+        _mp4_box(b"stsd", _uint32_bytes(0, 1), entry),
+        _mp4_box(b"stts", _uint32_bytes(0, 1, count, 1)),
+        _mp4_box(b"stsc", _uint32_bytes(0, 1, 1, count, 1)),
+        _mp4_box(b"stsz", _uint32_bytes(0, 2, count)),
+        _mp4_box(b"stco", _uint32_bytes(0, 1, offset)),
+    ]
+    duration = round(count / sound.rate * _TICKS_PER_SECOND * fps)
+    header = _mp4_box(b"smhd", _uint32_bytes(0, 0))
+    # Flags enabled and in movie; track 2, of full volume.
+    fields = _uint32_bytes(3, 0, 0, 2, 0, duration, 0, 0, 0, 0x1000000)
+    media = _media_box(b"soun", sound.rate, count, header, table)
+    return _mp4_box(b"trak", _mp4_box(b"tkhd", fields, _IDENTITY_MATRIX, bytes(8)), media)
+
+
+def _media_box(
+    kind: bytes, rate: int, duration: int, header: bytes, table: Sequence[bytes]
+) -> bytes:
+    """Return the MP4 box ``mdia`` of a track: its clock, its kind and its samples."""
     data_reference = _mp4_box(b"dref", _uint32_bytes(0, 1), _mp4_box(b"url ", _uint32_bytes(1)))
-    media = _mp4_box(
+    return _mp4_box(
         b"mdia",
         _mp4_box(b"mdhd", _uint32_bytes(0, 0, 0, rate, duration, 0x55C40000)),  # "und": no language
-        _mp4_box(b"hdlr", _uint32_bytes(0, 0), b"vide", _uint32_bytes(0, 0, 0), b"\0"),
-        _mp4_box(
-            b"minf",
-            _mp4_box(b"vmhd", _uint32_bytes(1, 0, 0)),
-            _mp4_box(b"dinf", data_reference),
-            table,
-        ),
-    )
-    size = _uint32_bytes(group.width << 16, group.height << 16)
-    track_fields = _uint32_bytes(
-        3, 0, 0, 1, 0, duration, 0, 0, 0, 0
-    )  # flags enabled and in movie; track 1
-    track = _mp4_box(b"trak", _mp4_box(b"tkhd", track_fields, _IDENTITY_MATRIX, size), media)
-    header = _uint32_bytes(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
-    return _mp4_box(
-        b"moov", _mp4_box(b"mvhd", header, _IDENTITY_MATRIX, bytes(24), _uint32_bytes(2)), track
+        _mp4_box(b"hdlr", _uint32_bytes(0, 0), kind, _uint32_bytes(0, 0, 0), b"\0"),
+        _mp4_box(b"minf", header, _mp4_box(b"dinf", data_reference), _mp4_box(b"stbl", *table)),
     )
 
 

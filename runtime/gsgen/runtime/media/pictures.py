@@ -200,8 +200,13 @@ def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
         np.save(temporary_path, array)
 
 
-def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
-    """Write an MP4, or an animated GIF that repeats for ever, atomically.
+def save_video(
+    path: Path,
+    pictures: Iterable[UInt8[np.ndarray, "..."]],
+    fps: float,
+    sound: mp4.Sound | None = None,
+) -> None:
+    """Write an MP4, or an animated GIF that repeats for ever and is silent, atomically.
 
     An MP4 is blended with black; :func:`save_gif` describes the transparency of a GIF.
 
@@ -214,7 +219,7 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
             image.fromarray(_composite_on_black(path, picture)).convert("RGB")
             for picture in pictures
         )
-        video = mp4.encode(colors, fps)
+        video = mp4.encode(colors, fps, sound)
         with atomic_write(path) as temporary_path:
             temporary_path.write_bytes(video)
         return

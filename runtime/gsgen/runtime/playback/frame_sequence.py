@@ -11,6 +11,7 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.media import deep_pictures, pictures
+from gsgen.runtime.media.mp4 import Sound
 from gsgen.runtime.media.output_formats import require_output_format
 from gsgen.runtime.media.pictures import PICTURE_MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
@@ -146,6 +147,7 @@ class FrameSequence(Playback):
         on_frame: Callable[[int], None] = lambda _: None,
         *,
         bits: Literal[8, 16] = 8,
+        sound: Sound | None = None,
     ) -> None:
         """Draw all frames into a file or a folder, which is complete or absent afterwards.
 
@@ -154,6 +156,7 @@ class FrameSequence(Playback):
                 ``frame_0000.png`` and so on.
             on_frame: Called before each frame with its number, from 1.
             bits: Bits of each channel of PNG files.
+            sound: What is heard in an .mp4 from its first frame on.
 
         Raises:
             ConfigInvalid: The suffix is unknown or unfit for several frames, or the cameras of a
@@ -170,7 +173,7 @@ class FrameSequence(Playback):
             ]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
         elif suffix in pictures.VIDEO_SUFFIXES:
-            pictures.save_video(path, self._pictures(on_frame), self.fps)
+            pictures.save_video(path, self._pictures(on_frame), self.fps, sound)
         elif suffix in pictures.IMAGE_SUFFIXES and self.frames == 1:
             for picture in self._pictures(on_frame, bits):
                 if bits == 8:

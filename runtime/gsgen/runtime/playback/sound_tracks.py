@@ -1,10 +1,10 @@
-"""Reads WAV files for inputs of the role ``audio``: the newest sound before each frame.
+"""Reads WAV files: for inputs of the role ``audio``, and as the sound of a film.
 
 The last sample of a frame's window is that of the moment that is drawn; before the recording there
 are zeros (the section "Sound" of the specification's roles).
 """
 
-__all__ = ["SOUND_SUFFIX", "read_sound", "sound_track"]
+__all__ = ["SOUND_SUFFIX", "film_sound", "read_sound", "sound_track"]
 
 import wave
 from fractions import Fraction
@@ -16,7 +16,9 @@ from jaxtyping import Float32
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import Input
+from gsgen.runtime.media.mp4 import Sound
 from gsgen.runtime.playback.input_tracks import Track
+from gsgen.runtime.sources.key_frames import SceneSound
 
 SOUND_SUFFIX: Final = ".wav"
 """Suffix of files that hold the sound of a track."""
@@ -61,6 +63,23 @@ def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> 
     last = np.minimum(np.rint(np.arange(frames) / fps * spec.rate), len(samples) - 1).astype(int)
     windows = np.lib.stride_tricks.sliding_window_view(padded, shape[0])[last]
     return Track(spec.name, windows, where)
+
+
+def film_sound(sound: SceneSound, seconds: float) -> Sound:
+    """Return what is heard in a film of some seconds: a recording at its place on the timeline.
+
+    Before and after the recording there is silence; what is before 0 or after the end is cut off.
+
+    Raises:
+        ConfigInvalid: The recording cannot be read, or holds no sound.
+    """
+    samples, rate = read_sound(sound.path)
+    heard = np.zeros(round(seconds * rate), np.float32)
+    start = round(sound.start * rate)
+    recorded = samples[max(-start, 0) : max(len(heard) - start, 0)]
+    begin = max(start, 0)
+    heard[begin : begin + len(recorded)] = recorded
+    return Sound(samples=heard, rate=round(rate))
 
 
 def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:

@@ -17,6 +17,7 @@ from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
+    from gsgen.runtime.media.mp4 import Sound
     from gsgen.runtime.media.pictures import Mode
     from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.sources.scene_file import SceneFile
@@ -209,8 +210,24 @@ def render(
         )
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
             echo(f"note: {note}", err=True)
-        _write(sequence, sources, output, bits=bit_count, as_json=as_json)
+        sound = _sound(sequence, files, output)
+        _write(sequence, sources, output, bits=bit_count, as_json=as_json, sound=sound)
         _report_shortfalls(sources, allow_missing=allow_missing)
+
+
+def _sound(sequence: "FrameSequence", files: "list[SceneFile]", output: Path) -> "Sound | None":
+    """Return the sound of the first scene file with one; a note says why a film is silent."""
+    from gsgen.runtime.playback.sound_tracks import film_sound
+
+    file = next((file for file in files if file.sound), None)
+    if file is None or file.sound is None or output.suffix.lower() != ".mp4":
+        return None
+    seconds, frame = sequence.frames / sequence.fps, 1 / sequence.fps
+    length = file.span.seconds if file.span else 0.0
+    if abs(seconds - length) > 1.5 * frame:
+        echo(f"note: the film is silent: it lasts {seconds:g} s, the timeline {length:g}", err=True)
+        return None
+    return film_sound(file.sound, seconds)
 
 
 def _report_shortfalls(sources: "list[Source]", *, allow_missing: bool) -> None:
@@ -279,6 +296,7 @@ def _write(
     *,
     bits: Literal[8, 16],
     as_json: bool,
+    sound: "Sound | None",
 ) -> None:
     """Draw all frames of a sequence into ``output``, and print a summary."""
     from gsgen.cli.progress import clear, progress
@@ -294,7 +312,10 @@ def _write(
         echo(f"note: one frame; --frames 100 {sequence.motion}", err=True)
     start_time = clock.perf_counter()
     sequence.write(
-        output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
+        output,
+        lambda number: progress(f"frame {number} of {sequence.frames}"),
+        bits=bits,
+        sound=sound,
     )
     clear()
     seconds = clock.perf_counter() - start_time
