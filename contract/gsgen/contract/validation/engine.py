@@ -458,6 +458,7 @@ def _reported_check(rule: Rule) -> Check:
     def check(context: Any) -> Iterator[Violation]:
         for violation in rule.check(context):
             expected = f"{violation.expected} ({rule.id})"
-            yield replace(violation, expected=expected, hint=violation.hint or rule.hint)
+            hint = violation.hint or rule.hint
+            yield replace(violation, expected=expected, hint=hint, can_be_zeroed=False)
 
     return check
