@@ -49,6 +49,7 @@ _OVERRIDES: Final = {
     "gsgen.contract.spec.manifest_io._published_schema": "publishedSchema",
     "gsgen.contract.spec.fields.json_schema.from_json": "py.fromJson",
     "gsgen.contract.model.graph._infer_facts": "noFacts",
+    "gsgen.contract.rules.outputs.outputs._role_hint": "noHint",
     "gsgen.contract.model.graph._densify_sparse_tensor": "denseWeight",
     "gsgen.contract.file_kinds.text_kinds._decoded": "py.decoded",
     "builtins.int.from_bytes": "py.fromBytes",
@@ -75,6 +76,7 @@ _PRELUDE: Final = """\
 const publishedSchema = (kind) => SCHEMAS.get(kind);
 const denseWeight = ({ dims, values: { name, data_type } }) => ({ name, data_type, dims });
 const noFacts = () => ({ tensors: new Map(), conflicts: [], checker: "", inference: "" });
+const noHint = () => "";
 """
 
 

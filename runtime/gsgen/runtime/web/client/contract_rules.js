@@ -6,6 +6,7 @@ import * as py from "./python.js";
 const publishedSchema = (kind) => SCHEMAS.get(kind);
 const denseWeight = ({ dims, values: { name, data_type } }) => ({ name, data_type, dims });
 const noFacts = () => ({ tensors: new Map(), conflicts: [], checker: "", inference: "" });
+const noHint = () => "";
 
 class Role$roles extends py.Record {
 static fields = [["name", null, null], ["dtype", null, null], ["shapes", null, null], ["summary", null, null], ["kinds", null, () => ["gaussian-generator"]], ["index", null, () => false], ["needs_range", null, () => false], ["conventions", null, () => []]];
@@ -910,7 +911,7 @@ yield py.violation(`input ${py.str(py.item(weights, 0))}`, actual, "a weight tha
 }
 }
 function* input_range_ordered$input_declarations(subject) {
-  let actual, dtype, entry, expected, high, highest, is_int32, is_whole, low, lowest, tensor;
+  let actual, dtype, ends, entry, expected, high, highest, hint, is_int32, is_whole, low, lowest, path, tensor;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if ((entry.range == null)) {
 continue;
@@ -929,7 +930,10 @@ yield py.violation(_input_location$input_declarations(entry), actual, "whole num
 } else {
 if (((py.compare(low, lowest) < 0) || (py.compare(high, highest) > 0))) {
 expected = `numbers of ${py.str(dtype)}, from ${py.format(lowest, `.10g`)} to ${py.format(highest, `.10g`)}`;
-yield py.violation(_input_location$input_declarations(entry), actual, expected);
+ends = [py.max([low, lowest]), py.min([high, highest])];
+path = `inputs.${py.str(declared_inputs$input_declarations(subject).indexOf(entry))}.range`;
+hint = set_hint$finding(path, [...(function* () { for (const end of py.iter(ends)) yield (py.bool(is_int32) ? py.int(end) : end); })()]);
+yield py.violation(_input_location$input_declarations(entry), actual, expected, undefined, undefined, hint);
 }
 }
 }
@@ -1096,33 +1100,36 @@ yield py.violation(_input_location$input_declarations(entry), actual, `${py.str(
 }
 }
 function* joints_fit_pose$avatar_inputs(subject) {
-  let entry, shape;
+  let entry, expected, hint, path, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (!py.bool(entry.joints)) {
 continue;
 }
 shape = shape_of$input_declarations(subject, entry);
+path = `inputs.${py.str(declared_inputs$input_declarations(subject).indexOf(entry))}.joints`;
+hint = remove_hint$finding(path, "list one for each row, in the order of the rows, parents first");
 if ((!py.eq(entry.role, "pose"))) {
 yield _input_violation$avatar_inputs(entry, `role ${py.str(entry.role)} with joints`, "role pose");
 } else {
 if (((shape != null) && (!py.eq(py.len(entry.joints), py.item(shape, 0))))) {
-yield _input_violation$avatar_inputs(entry, `${py.str(py.len(entry.joints))} joints`, `${py.str(py.item(shape, 0))}, one for each row`);
+expected = `${py.str(py.item(shape, 0))}, one for each row`;
+yield _input_violation$avatar_inputs(entry, `${py.str(py.len(entry.joints))} joints`, expected, hint);
 } else {
-yield* py.iter(_order_faults$avatar_inputs(entry));
+yield* py.iter(_order_faults$avatar_inputs(entry, hint));
 }
 }
 }
 }
-function* _order_faults$avatar_inputs(entry) {
+function* _order_faults$avatar_inputs(entry, hint) {
   let actual, joint, preceding_input_names;
 preceding_input_names = py.set();
 for (joint of py.iter(entry.joints)) {
 if ((py.contains(preceding_input_names, joint.name))) {
-yield _input_violation$avatar_inputs(entry, `two joints ${py.str(py.repr(joint.name))}`, "different names");
+yield _input_violation$avatar_inputs(entry, `two joints ${py.str(py.repr(joint.name))}`, "different names", hint);
 }
 if (((joint.parent != null) && (!py.contains(preceding_input_names, joint.parent)))) {
 actual = `joint ${py.str(py.repr(joint.name))} before its parent ${py.str(py.repr(joint.parent))}`;
-yield _input_violation$avatar_inputs(entry, actual, "parents first");
+yield _input_violation$avatar_inputs(entry, actual, "parents first", hint);
 }
 preceding_input_names.add(joint.name);
 }
@@ -1131,15 +1138,21 @@ function _input_violation$avatar_inputs(entry, actual, expected, hint = "") {
 return py.violation(`manifest input ${py.str(entry.name)}`, actual, expected, undefined, undefined, hint);
 }
 function* blend_weights_in_unit_range$avatar_inputs(subject) {
-  let entry, high, low;
+  let entry, high, hint, index, line, low;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (((py.eq(entry.convention, "arkit-52")) && (entry.range != null))) {
 [low, high] = entry.range;
 if (!(py.compare(0, low) <= 0 && py.compare(low, high) <= 0 && py.compare(high, 1) <= 0)) {
-yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]");
+index = declared_inputs$input_declarations(subject).indexOf(entry);
+line = line_hint$finding(`${py.str(entry.name)} = ${py.str(entry.name)} * ${py.format(py.max([(-low), high]), `g`)}`, true);
+hint = `${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))} ${py.str(line)}`;
+yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]", hint);
 }
 }
 }
+}
+function line_hint$finding(line, first = false) {
+return (py.bool(line) ? `${py.str((py.bool(first) ? "Begin" : "End"))} \`forward\` on \`${py.str(line)}\`.` : "");
 }
 function* sound_described$avatar_inputs(subject) {
   let actual, declared, entry, expected, hint, is_mel, missing, required_fields, shape;
@@ -1268,12 +1281,13 @@ function subgraphs$model_file(attribute) {
 return [...py.iter((py.bool(attribute.HasField("g")) ? [attribute.g] : [])), ...py.iter(attribute.graphs)];
 }
 function* gaussians_declared$outputs(subject) {
-  let outputs;
+  let actual, expected, outputs;
 if ((subject.gaussians != null)) {
 return;
 }
 outputs = py.or(py.list((function* () { for (const tensor of py.iter(subject.graph.outputs)) yield py.str(tensor); })()).join(", "), () => "nothing");
-yield py.violation("outputs", `no packed Gaussians among ${py.str(outputs)}`, `one [N, ${py.str(10)}] output`);
+[actual, expected] = [`no packed Gaussians among ${py.str(outputs)}`, `one [N, ${py.str(10)}] output`];
+yield py.violation("outputs", actual, expected, undefined, undefined, noHint(subject, "gaussians"));
 }
 function* gaussians_rank_2$outputs(subject) {
   let expected, is_rank_1, tensor;
@@ -1323,12 +1337,14 @@ yield py.violation(`output ${py.str(declared.name)}`, `shape ${py.str(declared)}
 }
 }
 function* appearance_declared$outputs(subject) {
+  let expected;
 if ((subject.appearance == null)) {
-yield py.violation("outputs", "no appearance", "one [N, channels] output");
+expected = "one [N, channels] output";
+yield py.violation("outputs", "no appearance", expected, undefined, undefined, noHint(subject, "appearance"));
 }
 }
 function* appearance_channels$outputs(subject) {
-  let allowed_channels, channels, declared, expected, tensor;
+  let allowed_channels, channels, declared, degree, expected, hint, others, tensor;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null))) {
 return;
@@ -1344,15 +1360,33 @@ if (((tensor.dims != null) && (py.eq(py.len(tensor.dims), 3)))) {
 expected = (py.plus(expected, "; reshape the last two axes into one"));
 }
 }
-yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected);
+others = [...(function* () { for (const [s, sizes] of py.iter(APPEARANCE_CHANNELS$21.entries())) if (((py.contains(sizes, channels)) && (py.compare(channels, 4) > 0))) yield s; })()];
+hint = "";
+if (((py.eq(declared.space, "rgb")) && (py.eq(others, ["sh"])) && py.isinstance(channels, py.int))) {
+degree = set_hint$finding("outputs.appearance.degree", degree_of$spherical_harmonics((Math.floor(channels / 3))));
+hint = `${py.str(set_hint$finding("outputs.appearance.space", "sh"))} ${py.str(degree)}`;
 }
+yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
+}
+}
+function degree_of$spherical_harmonics(count) {
+if ((!py.contains(SH_COEFFICIENT_COUNTS$22, count))) {
+throw new Error(`${py.str(count)} is not a number of SH coefficients: expected one of ${py.str(SH_COEFFICIENT_COUNTS$22)}`);
+}
+return SH_COEFFICIENT_COUNTS$22.indexOf(count);
 }
 function* appearance_rows$outputs(subject) {
-  let row_count, rows, tensor;
+  let fill, hint, missing, row_count, rows, tensor;
 [tensor, rows] = [subject.appearance, _dim_of_axis$outputs(subject.gaussians, 0)];
 row_count = _dim_of_axis$outputs(tensor, 0);
 if (((tensor != null) && py.isinstance(rows, py.int) && (!py.eq(row_count, rows)))) {
-yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(row_count)} rows`, `${py.str(rows)} rows`);
+hint = "Pad both outputs to the same capacity.";
+if (py.isinstance(row_count, py.int)) {
+missing = `torch.zeros(${py.str((py.minus(rows, row_count)))}, rows.shape[1])`;
+fill = ((py.compare(rows, row_count) > 0) ? `torch.cat([rows, ${py.str(missing)}])` : `rows[:${py.str(rows)}]`);
+hint = (py.plus(hint, ` ${py.str(line_hint$finding(`rows = ${py.str(fill)}`))}`));
+}
+yield py.violation(`output ${py.str(tensor.name)}`, `${py.str(row_count)} rows`, `${py.str(rows)} rows`, undefined, undefined, hint);
 }
 }
 function* output_dtype$outputs(subject) {
@@ -1372,8 +1406,10 @@ yield py.violation(`output ${py.str(color.name)}`, py.str(color.dtype), `${py.st
 }
 }
 function* count_declared$outputs(subject) {
+  let expected, hint;
 if ((subject.count == null)) {
-yield py.violation("outputs", "no row count", "one int32 [1] output, usually num_points");
+[expected, hint] = ["one int32 [1] output, usually num_points", noHint(subject, "count")];
+yield py.violation("outputs", "no row count", expected, undefined, undefined, hint);
 }
 }
 function* count_is_int32$outputs(subject) {
@@ -1427,7 +1463,7 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "a name that starts 
 function* visionary_finds_color$visionary(subject) {
   let actual, candidates, first_match, tensor;
 tensor = subject.appearance;
-candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_OUTPUT_WORDS$22)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$23, py.item(t.dims, (-1)))))) yield t.name; })()];
+candidates = [...(function* () { for (const t of py.iter(subject.graph.outputs)) if ((py.list((function* () { for (const word of py.iter(_COLOR_OUTPUT_WORDS$23)) yield (py.contains(t.name, word)); })()).some(py.bool) && py.bool(t.dims) && (py.contains(_COLOR_CHANNELS$24, py.item(t.dims, (-1)))))) yield t.name; })()];
 first_match = (py.bool(candidates) ? py.item(candidates, 0) : null);
 if (((tensor != null) && (!py.eq(first_match, tensor.name)))) {
 actual = (py.bool(first_match) ? `the viewer takes ${py.str(py.repr(first_match))}` : "the viewer finds none");
@@ -1505,7 +1541,7 @@ if (!py.isinstance(manifest, TrajectoryManifest$manifest)) {
 return;
 }
 [future, uncertainty_output] = [manifest.outputs.future, manifest.outputs.uncertainty];
-[state, graph] = [py.item(STATE_SIZES$24, future.representation), subject.graph];
+[state, graph] = [py.item(STATE_SIZES$25, future.representation), subject.graph];
 doubt_size = py.item(_doubt_sizes$companions(state), uncertainty_output.semantics);
 for ([name, expected] of py.iter([[future.name, state], [uncertainty_output.name, doubt_size]])) {
 hint = _states_hint$companions(subject, manifest, (py.eq(name, future.name)));
@@ -1531,8 +1567,8 @@ if ((py.isinstance(rows, py.int) && (!py.eq(rows, future.steps)))) {
 is_same = (py.eq(py.item(py.item(shapes, 0), 0), py.item(py.item(shapes, 1), 0)));
 return (py.bool(is_same) ? set_hint$finding("outputs.future.steps", rows) : "");
 }
-state = py.item(STATE_SIZES$24, future.representation);
-[field, declared, sizes] = (py.bool(is_future) ? ["future.representation", future.representation, STATE_SIZES$24] : ["uncertainty.semantics", uncertainty.semantics, _doubt_sizes$companions(state)]);
+state = py.item(STATE_SIZES$25, future.representation);
+[field, declared, sizes] = (py.bool(is_future) ? ["future.representation", future.representation, STATE_SIZES$25] : ["uncertainty.semantics", uncertainty.semantics, _doubt_sizes$companions(state)]);
 fitting = [...(function* () { for (const name of py.iter(sizes)) if ((py.eq(py.item(sizes, name), size) && !py.eq(size, py.item(sizes, declared)))) yield name; })()];
 return (py.bool(fitting) ? set_hint$finding(`outputs.${py.str(field)}`, py.item(fitting, 0)) : "");
 }
@@ -1619,7 +1655,7 @@ return `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_t
 function* no_control_flow$graph(subject) {
   let node;
 for (node of py.iter(subject.graph.all_nodes())) {
-if (((py.contains(CONTROL_FLOW$25, node.op_type)) && (py.contains(MAIN_DOMAIN$8, node.domain)))) {
+if (((py.contains(CONTROL_FLOW$26, node.op_type)) && (py.contains(MAIN_DOMAIN$8, node.domain)))) {
 yield py.violation(_node_location$graph(node), node.op_type, "a graph without control flow");
 }
 }
@@ -1627,7 +1663,7 @@ yield py.violation(_node_location$graph(node), node.op_type, "a graph without co
 function* no_random_operators$repeatability(subject) {
   let actual, has_seed_attribute, node;
 for (node of py.iter(_all_nodes$repeatability(subject))) {
-if ((py.contains(RANDOM_OPERATORS$26, node.op_type))) {
+if ((py.contains(RANDOM_OPERATORS$27, node.op_type))) {
 has_seed_attribute = py.list((function* () { for (const attribute of py.iter(node.attribute)) yield (py.eq(attribute.name, "seed")); })()).some(py.bool);
 actual = (py.bool(has_seed_attribute) ? "draws on from run to run despite its seed" : "no seed");
 yield py.violation(_location$repeatability(node), actual, "stored numbers");
@@ -1685,7 +1721,7 @@ if (((producer != null) && py.bool(_does_copy_input$capture(graph, producer)))) 
 yield py.violation(location, `made by ${py.str(producer.op_type)}`, "an operator that computes");
 }
 for (node of py.iter(py.item(graph.ancestors(tensor.name), 1))) {
-if (((py.contains(_SCATTER_OPERATORS$29, node.op_type)) && py.bool(_does_share_base$capture(graph, node)))) {
+if (((py.contains(_SCATTER_OPERATORS$30, node.op_type)) && py.bool(_does_share_base$capture(graph, node)))) {
 location = `node ${py.str(py.or(node.name, () => node.op_type))} (${py.str(node.op_type)})`;
 actual = "updates a tensor that others read";
 yield py.violation(location, actual, "Where or Concat");
@@ -1706,13 +1742,13 @@ are_axes_empty = py.or(!py.bool(axes_inputs), () => py.and((axes != null), () =>
 return is_copy$provider_placement(node.op_type, py.len(node.input), py.and(is_noop_with_empty_axes, () => are_axes_empty, () => !py.bool(has_axes_attribute)));
 }
 function is_copy$provider_placement(operator, inputs, keeps_all_axes) {
-if ((py.contains(VIEW_OPERATORS$27, operator))) {
+if ((py.contains(VIEW_OPERATORS$28, operator))) {
 return true;
 }
 if (py.bool(py.startsWith(operator, "Reduce"))) {
 return keeps_all_axes;
 }
-return py.and((py.contains(VARIADIC$28, operator)), () => (py.eq(inputs, 1)));
+return py.and((py.contains(VARIADIC$29, operator)), () => (py.eq(inputs, 1)));
 }
 function _does_share_base$capture(graph, node) {
   let base;
@@ -1749,7 +1785,7 @@ dims = static_dims$graph(tensor);
 if ((dims == null)) {
 return 0;
 }
-bits = py.get(_DTYPE_BITS$30, py.or(tensor.dtype, () => ""), 32);
+bits = py.get(_DTYPE_BITS$31, py.or(tensor.dtype, () => ""), 32);
 for (dim of py.iter(dims)) {
 bits = (bits * py.int(dim));
 }
@@ -1776,12 +1812,12 @@ resized_tensors = py.set();
 executed_nodes = [];
 for (node of py.iter(graph.nodes)) {
 names = names_read$graph(node);
-is_random = py.and((py.contains(RANDOM_OPERATORS$26, node.op_type)), () => (py.contains(MAIN_DOMAIN$8, node.domain)));
-changing_tensors = ((py.contains(_SHAPE_OPERATORS$31, node.op_type)) ? resized_tensors : varying_tensors);
+is_random = py.and((py.contains(RANDOM_OPERATORS$27, node.op_type)), () => (py.contains(MAIN_DOMAIN$8, node.domain)));
+changing_tensors = ((py.contains(_SHAPE_OPERATORS$32, node.op_type)) ? resized_tensors : varying_tensors);
 if ((py.bool(is_random) || !py.bool(!py.list(names).some((entry) => changing_tensors.has(entry))))) {
 py.list(node.output).forEach((entry) => varying_tensors.add(entry));
 executed_nodes.push(node);
-if (((py.contains(DATA_SIZED_OPERATORS$32, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized_tensors.has(entry))))) {
+if (((py.contains(DATA_SIZED_OPERATORS$33, node.op_type)) || !py.bool(!py.list(names).some((entry) => resized_tensors.has(entry))))) {
 py.list(node.output).forEach((entry) => resized_tensors.add(entry));
 }
 }
@@ -1848,14 +1884,21 @@ return "time";
 return ((py.contains(lower, "proj")) ? "projection" : "");
 }
 function* visionary_reads_color$visionary(subject) {
-  let actual, channels, declared, tensor;
+  let actual, channels, declared, hint, line, rows, tensor, zeros;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null) || !py.bool(tensor.dims))) {
 return;
 }
 channels = py.item(tensor.dims, (-1));
 if (((py.eq(declared.space, "sh")) && (!py.eq(channels, 48)))) {
-yield py.violation(`output ${py.str(tensor.name)}`, `SH with ${py.str(channels)} channels`, "48 channels");
+[hint, rows] = ["", py.item(tensor.dims, 0)];
+if ((py.isinstance(channels, py.int) && py.isinstance(rows, py.int) && (py.compare(channels, 48) < 0))) {
+zeros = `torch.zeros(${py.str(rows)}, ${py.str((py.minus(48, channels)))}, dtype=rows.dtype)`;
+line = line_hint$finding(`rows = torch.cat([rows, ${py.str(zeros)}], 1)`);
+hint = `Pad SH with zeros. ${py.str(line)} ${py.str(set_hint$finding("outputs.appearance.degree", 3))}`;
+}
+actual = `SH with ${py.str(channels)} channels`;
+yield py.violation(`output ${py.str(tensor.name)}`, actual, "48 channels", undefined, undefined, hint);
 }
 if (((py.eq(declared.space, "rgb")) && (!py.eq([channels, tensor.dtype], [4, "float16"])))) {
 actual = `RGB as ${py.str(tensor.dtype)} with ${py.str(channels)} channels`;
@@ -1870,10 +1913,15 @@ yield py.violation(`output ${py.str(declared.name)}`, "the count varies", "a con
 }
 }
 function* visionary_time_range$visionary(subject) {
-  let _, entry;
+  let _, entry, high, hint, index, is_mended, line, low;
 for ([entry, _] of py.iter(subject.inputs_of("time"))) {
 if (((entry.range != null) && (!py.eq(entry.range, [py.float(0.0), py.float(1.0)])))) {
-yield py.violation(`input ${py.str(entry.name)}`, `range ${py.str(py.list(entry.range))}`, "[0, 1]");
+[low, high] = entry.range;
+index = (py.bool(subject.manifest) ? subject.manifest.inputs : []).indexOf(entry);
+line = line_hint$finding(`${py.str(entry.name)} = ${py.format(low, `g`)} + ${py.str(entry.name)} * ${py.format((py.minus(high, low)), `g`)}`, true);
+is_mended = (py.contains([null, "zeros", py.float(0.0)], entry.default));
+hint = (py.bool(is_mended) ? `${py.str(line)} ${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))}` : "");
+yield py.violation(`input ${py.str(entry.name)}`, `range ${py.str([low, high])}`, "[0, 1]", undefined, undefined, hint);
 }
 }
 }
@@ -1906,7 +1954,7 @@ return new Candidate$manifest_io(manifest, py.list(manifest_guesses));
 function _role_of$manifest_inference(tensor) {
   let lower_name;
 lower_name = tensor.name.toLowerCase();
-return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$33.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
+return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$34.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
 }
 function _input$manifest_inference(tensor, manifest_guesses) {
   let entry, fixed_dims, has_free_shape, has_named_axes, role, span;
@@ -1927,7 +1975,7 @@ return ((dims != null) ? py.list((function* () { for (const dim of py.iter(dims)
 }
 function _gaussians$manifest_inference(graph, manifest_guesses) {
   let capacity, first, packed_outputs, tensor;
-tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$34);
+tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$35);
 packed_outputs = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last_dim$manifest_inference(tensor), 10))) yield tensor; })()];
 if (((tensor == null) && (py.eq(py.len(packed_outputs), 1)))) {
 tensor = py.item(packed_outputs, 0);
@@ -1954,7 +2002,7 @@ return ((py.eq(tensor.dtype, "float16")) ? "float16" : "float32");
 }
 function _appearance$manifest_inference(graph, manifest_guesses) {
   let channels, degree, tensor;
-tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$35);
+tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$36);
 if ((tensor == null)) {
 manifest_guesses.push("no output is named like an appearance");
 return null;
@@ -1967,12 +2015,6 @@ return new AppearanceOutput$outputs(tensor.name, "sh", degree);
 }
 manifest_guesses.push(`output ${py.str(py.repr(tensor.name))} holds raw RGB, by its ${py.str(py.or(channels, () => "?"))} channels`);
 return new AppearanceOutput$outputs(tensor.name, "rgb");
-}
-function degree_of$spherical_harmonics(count) {
-if ((!py.contains(SH_COEFFICIENT_COUNTS$36, count))) {
-throw new Error(`${py.str(count)} is not a number of SH coefficients: expected one of ${py.str(SH_COEFFICIENT_COUNTS$36)}`);
-}
-return SH_COEFFICIENT_COUNTS$36.indexOf(count);
 }
 function _count$manifest_inference(graph, manifest_guesses) {
   let tensor;
@@ -2352,21 +2394,21 @@ const PICTURE_ROLES$18 = ["image", "image_view", "image_intrinsics"];
 const _FRAME_ROLES$19 = ["view", "projection", "camera_position", "viewport", "time", "frame_index", "audio"];
 const COLUMN_MEANINGS$20 = py.dict([[7, "x y z, opacity and three scales without a rotation"], [11, "x y z, opacity, three scales and a quaternion"], [13, "x y z, opacity and the full matrix of nine covariances"], [14, "x y z, colour, opacity, three log scales and a quaternion of a PLY"], [59, "x y z, SH, opacity, three log scales and a quaternion of a PLY"], [62, "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY"]]);
 const APPEARANCE_CHANNELS$21 = py.dict([["sh", [3, 12, 27, 48]], ["rgb", [3, 4]]]);
-const _COLOR_OUTPUT_WORDS$22 = ["color", "sh", "rgb"];
-const _COLOR_CHANNELS$23 = [3, 4, 12, 27, 48];
-const STATE_SIZES$24 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
-const CONTROL_FLOW$25 = py.set(["If", "Loop", "Scan"]);
-const RANDOM_OPERATORS$26 = py.set(["Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"]);
-const VIEW_OPERATORS$27 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
-const VARIADIC$28 = py.set(["Max", "Min"]);
-const _SCATTER_OPERATORS$29 = py.set(["ScatterElements", "ScatterND"]);
-const _DTYPE_BITS$30 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
-const _SHAPE_OPERATORS$31 = py.set(["Shape", "Size"]);
-const DATA_SIZED_OPERATORS$32 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
-const _INPUT_NAMES$33 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
-const _GAUSSIAN_NAMES$34 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
-const _COLOR_NAMES$35 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
-const SH_COEFFICIENT_COUNTS$36 = [1, 4, 9, 16];
+const SH_COEFFICIENT_COUNTS$22 = [1, 4, 9, 16];
+const _COLOR_OUTPUT_WORDS$23 = ["color", "sh", "rgb"];
+const _COLOR_CHANNELS$24 = [3, 4, 12, 27, 48];
+const STATE_SIZES$25 = py.dict([["position+quaternion-wxyz", 7], ["position+axis-angle", 6]]);
+const CONTROL_FLOW$26 = py.set(["If", "Loop", "Scan"]);
+const RANDOM_OPERATORS$27 = py.set(["Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"]);
+const VIEW_OPERATORS$28 = py.set(["Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"]);
+const VARIADIC$29 = py.set(["Max", "Min"]);
+const _SCATTER_OPERATORS$30 = py.set(["ScatterElements", "ScatterND"]);
+const _DTYPE_BITS$31 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
+const _SHAPE_OPERATORS$32 = py.set(["Shape", "Size"]);
+const DATA_SIZED_OPERATORS$33 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
+const _INPUT_NAMES$34 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
+const _GAUSSIAN_NAMES$35 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
+const _COLOR_NAMES$36 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
 const _COUNT_NAMES$37 = ["num_points", "count", "num_gaussians", "n_points"];
 const CURRENT_VERSION$38 = [1, 0];
 const _ANNOTATION_KEYWORDS$39 = ["$schema", "$defs", "title", "description", "default", "examples"];
