@@ -27,7 +27,7 @@ def script() -> ModuleType:
 def stages() -> set[str]:
     """Return the names of all stages that plans record."""
     text = "".join(inspect.getsource(part) for part in (frame_plan, tile_lists, weighted_plan))
-    named = re.findall(r'stages\["([\w ]+)"\]', text)
+    named = re.findall(r'stages\["([\w ]+)"(?:\]| if )', text)
     started = re.findall(
         r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded_stages\})',
         text,

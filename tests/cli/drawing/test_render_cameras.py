@@ -51,7 +51,7 @@ def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
     assert image.max() > 100
     wrong = drawn(folder, "--camera", "transforms.json#nera")
     assert wrong.code == 2
-    assert "Did you mean 'near.jpg'? It has images/near.jpg, images/far.jpg" in wrong.err
+    assert "Did you mean 'near'? It has images/near.jpg, images/far.jpg" in wrong.err
     assert "Traceback" not in wrong.err
 
 

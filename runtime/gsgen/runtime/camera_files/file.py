@@ -96,9 +96,10 @@ class CameraFile:
         return matches
 
     def _unknown_camera_error(self, selection: str) -> ConfigInvalid:
-        error = UnknownName.among(
-            "camera", selection, (_file_name(camera.name) for camera in self.cameras), self.path
-        )
+        names = {_file_name(camera.name) for camera in self.cameras}
+        stems = {_file_stem(name) for name in names}  # which name a camera, if only one
+        known_names = stems if len(stems) == len(names) else names
+        error = UnknownName.among("camera", selection, known_names, self.path)
         return ConfigInvalid(
             error.message,
             where=self.path,

@@ -273,7 +273,7 @@ def _print(
         text = "".join(f"{line.text}\n" for line in _lines(entries, verbose=verbose, quiet=quiet))
     if output:
         write_text(output, text)
-        if output != Path("-") and not is_device(output):
+        if not quiet and output != Path("-") and not is_device(output):
             echo(f"wrote {output}")
             show(_lines(entries, quiet=True))
     elif format is Format.TEXT:
