@@ -304,7 +304,9 @@ def _are_whole_rows(before: ModelOutputs, after: ModelOutputs) -> bool:
     assert a is not None
     assert b is not None
     move = _matched_rows(a[: before.count], b[: after.count])
-    return bool((move >= 0).mean() >= _MIN_KNOWN_SHARE and (move != np.arange(len(move))).any())
+    is_known = move >= 0
+    is_elsewhere = is_known & (move != np.arange(len(move)))
+    return bool(is_known.mean() >= _MIN_KNOWN_SHARE and is_elsewhere.mean() >= _MIN_TORN_SHARE)
 
 
 def _matched_rows(
