@@ -56,6 +56,17 @@ def test_frames_of_a_table_begin_and_follow_as_declared(name: str, tmp_path: Pat
     assert rules_broken_by(model, tmp_path)[:1] == ([rule] if rule else [])
 
 
+def test_a_motion_that_rests_in_the_middle_is_no_table_of_frames(tmp_path: Path) -> None:
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, frames=30)
+    body = (
+        "rise = Min (time, a) more = Max (time, b) both = Add (rise, more) shift = Mul (both, way)"
+    )
+    model = input_driven_model("float[1] time", time, body).with_weights(
+        a=f32(0.4), b=f32(0.6), way=np.array([0.5, 0.1, 0.2], np.float32)
+    )
+    assert "GB069" not in rules_broken_by(model, tmp_path)
+
+
 @pytest.mark.parametrize("name", LOOPS)
 def test_a_loop_ends_where_it_starts(name: str, tmp_path: Path) -> None:
     turns, is_closed = LOOPS[name]

@@ -292,13 +292,16 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
         yield Violation.at("role time", actual, "frame k from t(k) on")
     last = [run for run in behaviour.trial_runs("within frames") if run.digest][-1:]
     ends = [run for run in behaviour.trial_runs(HIGH_END) if run.digest]
-    is_stepped = not any(map(any, within)) and not any(_breaks_of_order(behaviour))
+    # What rests in the middle of its motion stands still there, too, but does not step.
+    is_stepped = changes[count - 1] and not any(map(any, within))
+    is_stepped = is_stepped and not any(_breaks_of_order(behaviour))
     if is_stepped and last and ends and ends[0].digest != last[0].digest:
         first = [run.digest for run in _frame_runs(behaviour)[:1]]
         words = "frame 0" if first == [ends[0].digest] else "another one"
         actual = f"the high end of the time shows {words}, and not the last frame"
         hint = (
-            "Clamp the frame's number to the last, min(floor(time · frames), frames − 1): no Mod."
+            "Clamp the frame's number to the last, min(floor(time · frames), frames − 1): no Mod. "
+            'Where frame 0 follows the last one, declare "loop": true instead.'
         )
         yield Violation.at("role time", actual, "the last frame, without loop", hint=hint)
 
