@@ -40,6 +40,8 @@ TRANSPOSED = "the matrices were read transposed, in the other memory order"
 _MAX_RESIDUAL_RATIO = 2e-3
 # Fewer rows may fit a wrong reading by chance.
 _MIN_ROWS = 16
+# About so many rows are tried first: a reading that moves more than this share of them is wrong.
+_SCREENED_ROWS, _MAX_SCREENED_SHARE = 512, 0.1
 # Where one camera moves and the others stay, so many rows move that lie in the space of one of them.
 _MIN_MOVING_SHARE = 0.1
 # Pixels of rows are inside the picture within this fraction of it, and are spread over it if most
@@ -90,7 +92,13 @@ def reading_of_cameras(
     count = len(base.position)
     if count < _MIN_ROWS or is_equivariant(base, moved):
         return None
-    shares = {name: _moving_share(base, moved, read) for name, (read, _) in _READINGS.items()}
+    step = -(-count // _SCREENED_ROWS)
+    few = [replace(rows, position=rows.position[::step]) for rows in (base, moved)]
+    shares = {
+        name: _moving_share(base, moved, read)
+        for name, (read, _) in _READINGS.items()
+        if _moving_share(few[0], few[1], read) <= _MAX_SCREENED_SHARE
+    }
     names = [name for name, share in shares.items() if share <= MAX_INVALID_SHARE]
     # Several readings keep rows under a motion of all cameras: the model's also does under others.
     by_alone = {
