@@ -116,6 +116,14 @@ def test_message_about_items_states_the_actual_value(times, probe, message):
     assert counter.total == counter.count == times
 
 
+def test_rows_are_hidden_by_number_if_one_probe_shows_them() -> None:
+    """Sorted rows have another number in each run."""
+    counter = tally(rows([0, 1, 0, 0], can_be_zeroed=True), probe="time=0")
+    assert "rows[[1]] = 0" in counter.hint_of("Mend it.")
+    counter.add(rows([0, 0, 0, 1], can_be_zeroed=True), "time=1")
+    assert counter.hint_of("Mend it.") == "Mend it."
+
+
 def test_a_million_bad_rows_take_no_more_room_than_five():
     invalid_rows = np.ones(1_000_000, bool)
     values = np.full((1_000_000, 10), np.nan, np.float32)

@@ -132,9 +132,9 @@ class FindingCounter:
     def hint_of(self, rule_hint: str) -> str:
         """Return how to repair the model, and how to hide the invalid rows if they are few."""
         hint, rows = self.hint or rule_hint, {example.row for example in self.examples}
-        if not self.can_be_zeroed or not self.count <= min(
-            len(rows), _MAX_HIDDEN_SHARE * self.total
-        ):
+        # Rows that differ from probe to probe are sorted, or move up: their numbers say nothing.
+        has_numbers = self.can_be_zeroed and len({entry.probe for entry in self.examples}) <= 1
+        if not has_numbers or not self.count <= min(len(rows), _MAX_HIDDEN_SHARE * self.total):
             return hint
         line = line_hint(f"rows[{sorted(row for row in rows if row is not None)}] = 0")
         return f"{hint} To hide these rows: {line[0].lower()}{line[1:]}"
