@@ -432,7 +432,10 @@ LICENSE = {"license": "Apache-2.0", "tool": "exporter 1.2"}
 HALF, BYTE = np.float32([0.5]), np.float32([255])
 
 
-SET, LINE = re.compile(r"\bSet ([\w.-]+) to "), re.compile(r"`(\w+(?:\[[^`]*?\])? = [^`]+)`")
+SET, LINE = (
+    re.compile(r"\bSet ([\w.-]+) to "),
+    re.compile(r"`(?:\w+ = \w+\.clone\(\); )?(\w+(?:\[[^`]*?\])? = [^`]+)`"),
+)
 REMOVE = re.compile(r"\b[Rr]emove (\w+(?:\.[\w-]+)+)[,.]")
 
 

@@ -20,7 +20,7 @@ LINES = {
     "sh_rest_before_constant": "rows = torch.cat([rows[:, 45:], rows[:, :45]], 1)",
     "rows_sorted_alone": "rows = rows[torch.argsort(torch.argsort(gaussians[:, 1]))]",
     "premultiplied_colors": "rows[:, :3] = rows[:, :3] / gaussians[:, 3:4].clamp(1 / 255)",
-    "positions_in_millimetres": "rows[:, 4:] = rows[:, 4:] * 1000**2",
+    "positions_in_millimetres": "rows[:, 4:] = rows[:, 4:] * 1000 * 1000",
     "indefinite_covariance": "rows[[2]] = 0",
     "zero_covariance": "rows[[2]] = 0",
 }
@@ -37,7 +37,13 @@ def test_rows_are_not_hidden_where_most_are_broken(tmp_path: Path) -> None:
     path = find("underflowed_half").write(tmp_path)
     (finding,) = validate(path, Settings(level=Level.VALUES)).findings
     assert finding.count == finding.total
-    assert "`rows[" not in finding.hint
+    assert "hide these rows" not in finding.hint
+
+
+def test_a_part_of_a_tensor_is_changed_in_a_copy() -> None:
+    """Without one, the caller's input or a weight would change with each call."""
+    assert line_hint("pose = -pose", first=True) == "Begin `forward` on `pose = -pose`."
+    assert line_hint("rows[:, 3] = 1") == "End `forward` on `rows = rows.clone(); rows[:, 3] = 1`."
 
 
 def test_lines_of_axes_undo_the_exchange() -> None:

@@ -34,8 +34,11 @@ def set_hint(path: str, value: object) -> str:
 def line_hint(line: str, *, first: bool = False) -> str:
     """Return the hint to put a line of torch at the end of ``forward``, or first; empty without.
 
-    Inputs and outputs have their names in the graph; ``rows`` is the output of the finding.
+    Inputs and outputs have their names in the graph; ``rows`` is the output of the finding. A line
+    that changes a part of a tensor changes a copy, not the caller's input or a weight.
     """
+    target, bracket, _ = line.partition(" = ")[0].partition("[")
+    line = f"{target} = {target}.clone(); {line}" if bracket else line
     return f"{'Begin' if first else 'End'} `forward` on `{line}`." if line else ""
 
 

@@ -72,7 +72,8 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     )
     hint = " ".join(
         line_hint(
-            f"{entry.name} = {entry.name}.clamp({entry.range[0]:g}, {entry.range[1]:g})", first=True
+            f"{entry.name} = {entry.name}.clamp({entry.range[0]:.9g}, {entry.range[1]:.9g})",
+            first=True,
         )
         for entry in ranged
         if entry.range is not None

@@ -66,7 +66,7 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
             low, high = entry.range
             if not 0 <= low <= high <= 1:
                 index = declared_inputs(subject).index(entry)
-                line = line_hint(f"{entry.name} = {entry.name} * {max(-low, high):g}", first=True)
+                line = line_hint(f"{entry.name} = {entry.name} * {max(-low, high):.9g}", first=True)
                 hint = f"{set_hint(f'inputs.{index}.range', [0, 1])} {line}"
                 yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]", hint)
 

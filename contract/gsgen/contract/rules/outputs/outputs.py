@@ -202,7 +202,7 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     if tensor is not None and isinstance(rows, int) and row_count != rows:
         hint = "Pad both outputs to the same capacity."
         if isinstance(row_count, int):
-            missing = f"torch.zeros({rows - row_count}, rows.shape[1])"
+            missing = f"rows.new_zeros({rows - row_count}, rows.shape[1])"
             fill = f"torch.cat([rows, {missing}])" if rows > row_count else f"rows[:{rows}]"
             hint += f" {line_hint(f'rows = {fill}')}"
         yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows", hint=hint)

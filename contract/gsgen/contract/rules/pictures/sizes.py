@@ -129,7 +129,7 @@ def _line_of(mistake: str) -> str:
         _NOT_SQUARED_TEXT: f"rows[:, 4:] = {square}",
         _BLUR_TEXT: "rows[:, [4, 7, 9]] = rows[:, [4, 7, 9]] - 0.3",
         _BOTH_MULTIPLIED_TEXT: "rows[:, 4:] = rows[:, 4:] * 100",
-    } | {_UNIT_TEXT.format(s): f"rows[:, 4:] = rows[:, 4:] * {s}**2" for s in _UNIT_FACTORS}
+    } | {_UNIT_TEXT.format(s): f"rows[:, 4:] = rows[:, 4:] * {s} * {s}" for s in _UNIT_FACTORS}
     return f"{line_hint(lines[mistake])} Or ignore this rule." if mistake in lines else ""
 
 

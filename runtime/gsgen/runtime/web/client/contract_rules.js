@@ -1144,7 +1144,7 @@ if (((py.eq(entry.convention, "arkit-52")) && (entry.range != null))) {
 [low, high] = entry.range;
 if (!(py.compare(0, low) <= 0 && py.compare(low, high) <= 0 && py.compare(high, 1) <= 0)) {
 index = declared_inputs$input_declarations(subject).indexOf(entry);
-line = line_hint$finding(`${py.str(entry.name)} = ${py.str(entry.name)} * ${py.format(py.max([(-low), high]), `g`)}`, true);
+line = line_hint$finding(`${py.str(entry.name)} = ${py.str(entry.name)} * ${py.format(py.max([(-low), high]), `.9g`)}`, true);
 hint = `${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))} ${py.str(line)}`;
 yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]", hint);
 }
@@ -1152,6 +1152,9 @@ yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "wit
 }
 }
 function line_hint$finding(line, first = false) {
+  let _, bracket, target;
+[target, bracket, _] = py.partition(py.item(py.partition(line, " = "), 0), "[");
+line = (py.bool(bracket) ? `${py.str(target)} = ${py.str(target)}.clone(); ${py.str(line)}` : line);
 return (py.bool(line) ? `${py.str((py.bool(first) ? "Begin" : "End"))} \`forward\` on \`${py.str(line)}\`.` : "");
 }
 function* sound_described$avatar_inputs(subject) {
@@ -1382,7 +1385,7 @@ row_count = _dim_of_axis$outputs(tensor, 0);
 if (((tensor != null) && py.isinstance(rows, py.int) && (!py.eq(row_count, rows)))) {
 hint = "Pad both outputs to the same capacity.";
 if (py.isinstance(row_count, py.int)) {
-missing = `torch.zeros(${py.str((py.minus(rows, row_count)))}, rows.shape[1])`;
+missing = `rows.new_zeros(${py.str((py.minus(rows, row_count)))}, rows.shape[1])`;
 fill = ((py.compare(rows, row_count) > 0) ? `torch.cat([rows, ${py.str(missing)}])` : `rows[:${py.str(rows)}]`);
 hint = (py.plus(hint, ` ${py.str(line_hint$finding(`rows = ${py.str(fill)}`))}`));
 }
@@ -1918,7 +1921,7 @@ for ([entry, _] of py.iter(subject.inputs_of("time"))) {
 if (((entry.range != null) && (!py.eq(entry.range, [py.float(0.0), py.float(1.0)])))) {
 [low, high] = entry.range;
 index = (py.bool(subject.manifest) ? subject.manifest.inputs : []).indexOf(entry);
-line = line_hint$finding(`${py.str(entry.name)} = ${py.format(low, `g`)} + ${py.str(entry.name)} * ${py.format((py.minus(high, low)), `g`)}`, true);
+line = line_hint$finding(`${py.str(entry.name)} = ${py.format(low, `.9g`)} + ${py.str(entry.name)} * ${py.format((py.minus(high, low)), `.9g`)}`, true);
 is_mended = (py.contains([null, "zeros", py.float(0.0)], entry.default));
 hint = (py.bool(is_mended) ? `${py.str(line)} ${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))}` : "");
 yield py.violation(`input ${py.str(entry.name)}`, `range ${py.str([low, high])}`, "[0, 1]", undefined, undefined, hint);
