@@ -194,6 +194,9 @@ def test_rows_that_turn_and_are_moved_elsewhere_are_noticed() -> None:
     assert not is_translated_otherwise(base, moved)
     # Half of the first picture's rows are left out: pictures need not have as many rows.
     base, moved = (replace(rows, position=rows.position[48:]) for rows in (base, moved))
+    parked, later = (replace(rows, position=rows.position.copy()) for rows in (base, moved))
+    parked.position[-40:] = later.position[-40:] = (0.5, 0.5, 0.5)
+    assert not is_translated_otherwise(parked, later)
     elsewhere = replace(moved, position=moved.position + np.array([0.3, 0, 0.2]))
     assert reading_of_cameras(base, elsewhere) is None
     assert is_translated_otherwise(base, elsewhere)

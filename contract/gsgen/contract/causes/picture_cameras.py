@@ -147,7 +147,10 @@ def is_translated_otherwise(base: PosedRows, moved: PosedRows) -> bool:
     motion = np.linalg.inv(moved.views[0]) @ base.views[0]
     offsets = moved.position - base.position @ motion[:3, :3].T
     limit = _MAX_RESIDUAL_RATIO * float(np.linalg.norm(np.ptp(base.position, axis=0)))
-    rest, is_elsewhere = offsets, False
+    # Rows at one point, as those that a mask took there, turn with anything.
+    _, points, counts = np.unique(base.position, axis=0, return_inverse=True, return_counts=True)
+    rest, is_elsewhere = offsets[counts[points.reshape(-1)] < _MIN_ROWS], False
+    count = len(rest)
     for _ in base.views:
         if len(rest) < _MIN_ROWS:
             break
@@ -157,7 +160,7 @@ def is_translated_otherwise(base: PosedRows, moved: PosedRows) -> bool:
             return False
         is_elsewhere |= bool(np.linalg.norm(rest[0] - motion[:3, 3]) > 2 * limit)
         rest = rest[~is_near]
-    return is_elsewhere and len(rest) <= MAX_INVALID_SHARE * len(offsets)
+    return is_elsewhere and len(rest) <= MAX_INVALID_SHARE * count
 
 
 def reading_of_lenses(base: PosedRows, other: PosedRows) -> Explanation | None:
