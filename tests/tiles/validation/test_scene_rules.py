@@ -1,16 +1,22 @@
 """The rules GC of scene files and their fixtures prove each other."""
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import Fixture
 from gsgen.contract import Level, Report, Severity
+from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.contract.validation.settings import Settings
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.validation import inspected_scene
 from gsgen.tiles.validation.rules import all_rules
 from gsgen.tiles.validation.rules.scenes import SCENE_RULES
 from gsgen.tiles.validation.scene_fixtures import scene_fixtures
@@ -43,6 +49,40 @@ def test_a_scene_breaks_its_rule_and_no_other(
         assert outcome.status == "pass" or outcome.rule.id == fixture.rule or outcome.reason
     if not fixture.rule:
         assert {outcome.status for outcome in report.outcomes} == {"pass"}
+
+
+@pytest.mark.parametrize(
+    ("path", "sound", "named"),
+    [
+        ("/nowhere/a.ply", {"path": "a.ply"}, "/nowhere/a.ply"),
+        ("../a.onnx", {"path": "a.ply"}, "../a.onnx"),
+        ("a.ply", {"path": "folder"}, "folder"),
+        ("a.ply", {"path": "https://a.b/c.wav"}, "https:/a.b/c.wav"),
+        ("a.ply", {"path": "a.ply", "captions": "folder"}, "folder"),
+    ],
+)
+def test_missing_files_are_named_wherever_they_should_be(
+    tmp_path: Path, path: str, sound: dict[str, str], named: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "a.ply").touch()
+    file = tmp_path / "scene.json"
+    file.write_text(json.dumps({"models": [{"path": path}], "sound": sound}))
+    report = validate_scene(file, Settings(level=Level.STATIC))
+    assert [str(finding.where) for finding in report.findings] == [f"file {named}"]
+
+
+def test_statistics_do_not_depend_on_the_parts_that_are_added(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    generator = np.random.default_rng(0)
+    rows, colors = generator.random((100, 10)), generator.random((100, 3))
+    data = SplatData(rows.astype(np.float32), colors.astype(np.float32), "sh", count=90)
+    whole = inspected_scene._statistics_around(data)(data)
+    weight = data.rows[:90, OPACITY, None] * np.insert(data.appearance[:90], 0, 1, axis=1)
+    assert (abs(whole).max(axis=1) <= weight.sum(axis=0)).all()
+    monkeypatch.setattr(inspected_scene, "_ROWS_AT_ONCE", 7)
+    np.testing.assert_allclose(inspected_scene._statistics_around(data)(data), whole)
 
 
 def silent_check(_: object) -> Iterator[Violation]:

@@ -29,6 +29,7 @@ Statistics = Complex128[np.ndarray, "channels frequencies"]
 # Wave vectors of the statistics, in radians for each root mean square radius of the first frame.
 _FREQUENCIES: Final = np.random.default_rng(0).normal(size=(3, 64))
 _SCALES: Final = (0.7, 2.5)
+_ROWS_AT_ONCE: Final = 1 << 14  # each takes 5 KB
 _NEARLY: Final = 1 - 1e-6  # of a segment's time: at its end, the next one begins
 
 
@@ -206,9 +207,13 @@ def _statistics_around(first: SplatData) -> Callable[[SplatData], Statistics]:
     waves = np.concatenate([_FREQUENCIES * scale for scale in _SCALES], axis=1) / (radius or 1.0)
 
     def statistics(data: SplatData) -> Statistics:
-        rows = data.rows[: data.count].astype(np.float64)
-        color = data.appearance[: data.count, :3].astype(np.float64)
-        weight = rows[:, OPACITY, None] * np.concatenate([np.ones((len(rows), 1)), color], axis=1)
-        return np.asarray(weight.T @ np.exp(1j * ((rows[:, POSITION] - center) @ waves)))
+        result = np.zeros((4, waves.shape[1]), complex)
+        for first in range(0, data.count, _ROWS_AT_ONCE):
+            part = slice(first, min(first + _ROWS_AT_ONCE, data.count))
+            rows = data.rows[part].astype(np.float64)
+            color = data.appearance[part, :3].astype(np.float64)
+            weight = rows[:, OPACITY, None] * np.pad(color, ((0, 0), (1, 0)), constant_values=1)
+            result += weight.T @ np.exp(1j * ((rows[:, POSITION] - center) @ waves))
+        return result
 
     return statistics

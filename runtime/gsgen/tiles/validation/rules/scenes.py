@@ -36,6 +36,7 @@ _NOISE: Final = 0.02
 _MAX_STEPS, _MAX_STEPS_HELD = 0.5, 1.75
 # A frame is another one's copy, or is held, within this share of a step.
 _SAME: Final = 0.25
+_MAX_CAPTIONS: Final = 1 << 24  # characters that are read
 _CUE: Final = re.compile(r"^((?:\d+:)?\d\d:\d\d\.\d{3})[ \t]+-->", re.MULTILINE)
 
 
@@ -59,12 +60,15 @@ def scene_file_whole(inspected: InspectedScene) -> Iterator[Violation]:
     parts = [path for model in scene.models for path in model.paths]
     parts += [mesh.path for mesh in scene.meshes] + [post.path for post in scene.posts]
     for path in filter(None, [*parts, *sound]):
-        if not path.exists() and ":/" not in path.as_posix():
+        is_there = path.exists() or ":/" in path.as_posix()
+        if not (path.is_file() if path in sound else is_there):
             yield Violation.at(f"file {_name(inspected, path)}", "missing", "a file")
 
 
 def _name(inspected: InspectedScene, path: Path) -> str:
-    return path.relative_to(inspected.path.parent).as_posix()
+    """Return a path as the scene file gives it: absolute, or from its folder."""
+    folder = inspected.path.parent
+    return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 
 
 @_scene_rule("GC002", Severity.ERROR, level=Level.VALUES, needs=("GC001",))
@@ -277,7 +281,8 @@ def _late_captions(sound: SceneSound, seconds: float) -> Iterator[Violation]:
     """Yield what is wrong with captions: no WebVTT, or a cue that begins after the end."""
     if sound.captions is None:
         return
-    text = sound.captions.read_text("utf-8-sig", "replace")
+    with sound.captions.open(encoding="utf-8-sig", errors="replace") as file:
+        text = file.read(_MAX_CAPTIONS)
     cues = [_seconds_of(cue) + sound.start for cue in _CUE.findall(text)]
     if not text.startswith("WEBVTT") or not cues:
         yield Violation.at("captions", f"{len(cues)} cues", "WebVTT with a cue")
