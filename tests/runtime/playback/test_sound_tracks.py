@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsgen.conformance.fixtures.valid.avatars import sound_model
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import Input
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.writing.knot import torus_knot
+from gsgen.runtime.media.mp4 import encode
 from gsgen.runtime.playback.sound_tracks import film_sound, read_sound, sound_track
 from gsgen.runtime.sources.key_frames import SceneSound
 from support.commands import gsgen_here
@@ -116,6 +118,31 @@ def test_a_recording_keeps_its_place_on_the_timeline(tmp_path: Path, start: floa
     for number, sample in enumerate(sound.samples):
         place = number - round(start * RATE)
         assert sample == (samples[place] / 2**15 if 0 <= place < 400 else 0)
+
+
+@pytest.mark.parametrize("rate", [44_100, 88_200, 192_000])
+def test_a_film_takes_recordings_of_all_rates(tmp_path: Path, rate: int) -> None:
+    tone = np.sin(2 * np.pi * 400 * np.arange(rate // 10) / rate)
+    data = np.rint(30_000 * tone).astype("<i2").tobytes()
+    sound = film_sound(SceneSound(path=write_wav(tmp_path / "a.wav", data, rate=rate)), 0.1)
+    assert sound.rate == min(rate, 48_000)
+    expected = np.sin(2 * np.pi * 400 * np.arange(len(sound.samples)) / sound.rate)
+    inner = slice(200, -200)  # the filter knows no samples beyond the ends
+    np.testing.assert_allclose(sound.samples[inner], expected[inner] * 30_000 / 2**15, atol=0.01)
+    assert b"ipcm" in encode([Image.new("RGB", (16, 16))], 10, sound)
+
+
+@pytest.mark.parametrize(("place", "value"), [(24, 4_000_000_000), (34, 40), (34, 64)])
+def test_recordings_of_other_widths_or_absurd_rates_are_refused(
+    tmp_path: Path, place: int, value: int
+) -> None:
+    path = write_wav(tmp_path / "a.wav", noise(40).tobytes())
+    header = bytearray(path.read_bytes())
+    size = 4 if place == 24 else 2
+    header[place : place + size] = value.to_bytes(size, "little")
+    path.write_bytes(header)
+    with pytest.raises(ConfigInvalid, match=f"has .*{value:,}.*, expected 8, 16, 24 or 32 bits"):
+        read_sound(path)
 
 
 def test_a_film_of_segments_is_heard_from_its_start(tmp_path: Path) -> None:

@@ -68,22 +68,23 @@ def encode(pictures: Iterable["Image"], fps: float, sound: Sound | None = None) 
     ftyp_box = _mp4_box(b"ftyp", b"isom", _uint32_bytes(0x200), b"isomiso6av01mp41")
     heard = b"" if sound is None else sound.data
 
-    def moov(offset: int) -> bytes:
-        """Return the table of contents of samples that begin at byte ``offset``."""
+    def moov(offset: int, sound_offset: int) -> bytes:
+        """Return the table of contents of frames and sound that begin at these bytes."""
         tracks = [_video_track(groups[0], samples, first_samples.tolist(), fps, offset)]
         if sound is not None:
-            tracks.append(_sound_track(sound, fps, offset + sum(map(len, samples))))
+            tracks.append(_sound_track(sound, fps, sound_offset))
         return _moov_box(tracks, len(samples), fps)
 
     # The table stores the offset of the samples, which depends on the table's length. The length
     # does not depend on the offset, so the table is built twice.
-    size = len(ftyp_box) + len(moov(0)) + 8
-    if size + sum(map(len, samples)) + len(heard) >= _MAX_BYTES:
+    size = len(ftyp_box) + len(moov(0, 0)) + 8
+    sound_offset = size + sum(map(len, samples))
+    if sound_offset + len(heard) >= _MAX_BYTES:
         raise SceneInvalid(
             f"the {len(samples):,} frames take more than 4 GiB, the limit of an .mp4 file",
             hint="Draw the video in parts, or smaller.",
         )
-    return b"".join([ftyp_box, moov(size), _mp4_box(b"mdat", *samples, heard)])
+    return b"".join([ftyp_box, moov(size, sound_offset), _mp4_box(b"mdat", *samples, heard)])
 
 
 def require_encoder() -> None:

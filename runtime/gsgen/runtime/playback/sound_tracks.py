@@ -25,7 +25,9 @@ SOUND_SUFFIX: Final = ".wav"
 
 _MAX_BYTES: Final = 1 << 30  # of the windows of all frames
 _MAX_DENOMINATOR: Final = 1000  # largest denominator of the ratio of two sample rates
-_PCM_DTYPES: Final = {1: "u1", 2: "<i2", 4: "<i4"}
+_PCM_DTYPES: Final = {1: "u1", 2: "<i2", 3: "<i4", 4: "<i4"}  # 3 bytes are widened to 4
+_MAX_RATE: Final = 768_000  # samples a second of the fastest converters
+_FILM_RATE: Final = 48_000  # of faster recordings in films: rates of .mp4 files have 16 bits
 _ARRAY_HINT: Final = "Compute the input yourself, and give an .npy of [frames, …]."
 
 
@@ -74,6 +76,8 @@ def film_sound(sound: SceneSound, seconds: float) -> Sound:
         ConfigInvalid: The recording cannot be read, or holds no sound.
     """
     samples, rate = read_sound(sound.path)
+    if rate >= 1 << 16:
+        samples, rate = _resample_audio(samples, rate, _FILM_RATE), _FILM_RATE
     heard = np.zeros(round(seconds * rate), np.float32)
     start = round(sound.start * rate)
     recorded = samples[max(-start, 0) : max(len(heard) - start, 0)]
@@ -98,6 +102,10 @@ def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
     except (wave.Error, EOFError) as error:
         hint = "Convert it to WAV with PCM samples."
         raise ConfigInvalid(f"is no WAV of PCM: {error}", where=str(path), hint=hint) from error
+    if width not in _PCM_DTYPES or rate > _MAX_RATE:
+        actual = f"has {8 * width} bits a sample and {rate:,} samples a second"
+        expected = f"expected 8, 16, 24 or 32 bits, and at most {_MAX_RATE:,} samples a second"
+        raise ConfigInvalid(f"{actual}, {expected}", where=str(path))
     data = data[: len(data) // (channels * width) * channels * width]
     if not data or not rate:
         raise ConfigInvalid("the file holds no samples of sound", where=str(path))
