@@ -25,6 +25,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.eyes import beside, eye_frames, pair_of_eyes
 from gsgen.runtime.scene.frame import Frame, Output, psnr
 from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.sources.placed_source import PlacedSource
 from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk.binding import FrameSession
 from support.rendering.mesh_scenes import MESH_SCENES
@@ -258,6 +259,10 @@ def test_metres_of_a_unit_are_those_that_a_model_declares(
 ) -> None:
     drift.space = space
     assert metres_of_unit([drift]) == expected
+    half = PlacedSource(
+        drift, np.diag([0.5, 0.5, 0.5, 1])
+    )  # a unit of the world is two of the model
+    assert metres_of_unit([half]) == (expected and 2 * expected)
 
 
 def test_eyes_stand_around_the_camera_and_look_its_way() -> None:

@@ -240,10 +240,7 @@ class FrameSequence(Playback):
 
 def metres_of_unit(sources: Sequence[Source]) -> float | None:
     """Return the metres of a unit of length, as the first model that tells them does; or None."""
-    for space in (source.space for source in sources):
-        if space is not None and (space.metres_per_unit or space.unit == "metre"):
-            return space.metres_per_unit or 1.0
-    return None
+    return next(filter(None, (source.metres_per_unit for source in sources)), None)
 
 
 def _differing_sizes(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:

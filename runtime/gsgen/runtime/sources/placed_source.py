@@ -125,6 +125,12 @@ class PlacedSource(Source):
         return self._wrapped_source.state
 
     @property
+    def metres_per_unit(self) -> float | None:
+        """Metres of a unit of the world: the transform makes units of the source as long as that."""
+        metres = self._wrapped_source.metres_per_unit
+        return metres and metres / _uniform_scale(self._placement_transform[:3, :3])
+
+    @property
     def follows_camera(self) -> bool:
         """Whether the source of Gaussians computes a new frame when the camera moves."""
         return self._wrapped_source.follows_camera

@@ -171,6 +171,13 @@ class Source(ABC):
         return (id(data), *versions, data.count)
 
     @property
+    def metres_per_unit(self) -> float | None:
+        """Metres of a unit of length, as a generator declares them; None if it does not."""
+        space = self.space
+        is_metric = space is not None and space.unit == "metre"
+        return (space and space.metres_per_unit) or (1.0 if is_metric else None)
+
+    @property
     def follows_camera(self) -> bool:
         """Whether the source of Gaussians must compute a new frame when the camera moves."""
         return any(spec.role in CAMERA_ROLES for spec in self.inputs)
