@@ -5,7 +5,7 @@ __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -45,9 +45,6 @@ from gsgen.tiles.streaming.session_frame import (
     SessionOptions,
     TileArrival,
 )
-
-if TYPE_CHECKING:
-    pass
 
 _ERROR_STEP: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MAX_ERROR_STEPS: Final = 80
