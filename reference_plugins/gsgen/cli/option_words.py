@@ -34,6 +34,7 @@ _OPTION_WORDS: Final = {
     "--emit-manifest": "manifest",
     "--encoding": "binary",
     "--encoding ascii": "ascii text",
+    "--eye-distance": "ipd eye-separation interpupillary-distance baseline",
     "--fail-on warning": "warnings-as-errors werror error-on-warning max-warnings",
     "--format": "type fmt output-format ext f",
     "--format html": "html",
@@ -81,6 +82,7 @@ _OPTION_WORDS: Final = {
     "input-shape shape",
     "--sphere": "S filter-sphere crop-sphere",
     "--statistics": "stats summary info m",
+    "--stereo": "vr sbs side-by-side",
     "--target": "t runtime consumer",
     "--target webgpu": "browser web webgpu",
     "--time": "t timestep frame frames fps",
@@ -145,7 +147,6 @@ _ADVICE: Final = {
     ),
     "Floats above 1 are kept in an .exr: name the output so.": "hdr exr float",
     "A file of cameras holds lenses, such as COLMAP's: --camera FILE.": "fisheye distortion lens",
-    "Draw each eye by a --camera of its own.": "stereo vr sbs",
     "`gsgen view` shows it in a window, `gsgen view --web` in the browser.": (
         "show preview display interactive gui window open fullscreen"
     ),

@@ -72,6 +72,10 @@ def test_two_eyes_stand_side_by_side(folder: Path) -> None:
     assert image.shape == (20, 48, 3)
     assert image[:, :24].max() > 100
     assert not np.array_equal(image[:, :24], image[:, 24:])
+    alone = drawn(folder, *words[1:])
+    assert alone.code == 2
+    assert "--eye-distance: is that of two eyes: add --stereo" in alone.err
+    assert "Did you mean --stereo?" in drawn(folder, "--sbs").err
     for kind, reason in (("panorama", "looks to all sides"), ("orthographic", "no perspective")):
         refused = drawn(folder, *words, f"--{kind}")
         assert refused.code == 2

@@ -5,7 +5,7 @@ __all__ = ["render"]
 import time as clock
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -75,12 +75,14 @@ Stereo = Annotated[
         "one eye.",
     ),
 ]
+_EYE_DISTANCE: Final = 0.063  # metres: the mean of grown people (Dodgson 2004)
 EyeDistance = Annotated[
-    float,
+    float | None,
     typer.Option(
         help="Metres between the eyes of --stereo; models tell the length of their unit, other "
         "scenes are taken to be in metres.",
         min=1e-6,
+        show_default=str(_EYE_DISTANCE),
     ),
 ]
 WeightedSums = Annotated[
@@ -105,7 +107,7 @@ def render(
     orthographic: options.Orthographic = False,
     panorama: options.Panorama = False,
     stereo: Stereo = False,
-    eye_distance: EyeDistance = 0.063,  # the mean of grown people (Dodgson 2004)
+    eye_distance: EyeDistance = None,
     mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
@@ -151,6 +153,8 @@ def render(
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
+    if eye_distance is not None and not stereo:
+        raise ConfigInvalid("is that of two eyes: add --stereo", where="--eye-distance")
     symbols, width, height = options.split_image_size(size, width, height, [*scenes, *(post or ())])
     bit_count: Literal[8, 16] = 16 if bits == "16" else 8
     read_files = input_files(
@@ -205,7 +209,7 @@ def render(
             fps=fps or pose_fps,
             tracks=tracks,
             post=models,
-            eye_distance=eye_distance if stereo else None,
+            eye_distance=eye_distance or _EYE_DISTANCE if stereo else None,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
         for note in (*sequence.notes, *_transparency_notes(output, color, options.mode_of(mode))):
