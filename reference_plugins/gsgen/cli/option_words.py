@@ -34,7 +34,7 @@ _OPTION_WORDS: Final = {
     "--emit-manifest": "manifest",
     "--encoding": "binary",
     "--encoding ascii": "ascii text",
-    "--eye-distance": "ipd eye-separation interpupillary-distance baseline",
+    "--eye-distance": "ipd eye-separation interpupillary-distance",
     "--fail-on warning": "warnings-as-errors werror error-on-warning max-warnings",
     "--format": "type fmt output-format ext f",
     "--format html": "html",
