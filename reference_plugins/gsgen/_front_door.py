@@ -101,10 +101,10 @@ def validate(
     seed: int | None = None,
     timeout: float | None = None,
 ) -> "Report":
-    """Check a model, or a tileset, against the contract; ``print(report)`` prints it.
+    """Check a model, a tileset or a scene file against the contract; ``print(report)`` prints it.
 
     Args:
-        path: The ONNX file or its address, or a tileset.
+        path: The ONNX file or its address, a tileset, or a scene file.
         level: How far to go: static, values, behaviour, live or render.
         target: The consumer to validate for, such as core or webgpu.
         fail_on: The lowest severity that fails: error, warning or info.

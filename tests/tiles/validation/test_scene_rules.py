@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import gsgen
 from gsgen.conformance.fixtures import Fixture
 from gsgen.contract import Level, Report, Severity
 from gsgen.contract.spec.layout import OPACITY
@@ -70,6 +71,12 @@ def test_missing_files_are_named_wherever_they_should_be(
     file.write_text(json.dumps({"models": [{"path": path}], "sound": sound}))
     report = validate_scene(file, Settings(level=Level.STATIC))
     assert [str(finding.where) for finding in report.findings] == [f"file {named}"]
+
+
+def test_programs_validate_scene_files_as_the_command_does(tmp_path: Path) -> None:
+    file = scene_fixtures()[0].write(tmp_path)
+    report = gsgen.validate(file, level="static")
+    assert (report.kind, report.verdict) == ("scene", "conforms")
 
 
 def test_statistics_do_not_depend_on_the_parts_that_are_added(

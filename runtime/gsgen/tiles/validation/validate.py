@@ -19,6 +19,8 @@ from gsgen.contract.validation.report import LevelOutcome, Report
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import apply_waivers
+from gsgen.formats.tileset_paths import INDEX_FILE
+from gsgen.runtime.sources.scene_file import is_scene_file
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import TILESET_KINDS, address_of, open_store
 from gsgen.tiles.stores.store import Store
@@ -41,10 +43,11 @@ def validate(
     registry: Registry | None = None,
     progress: Progress = ignore_progress,
 ) -> Report:
-    """Validate a tileset or a tile's content file, and return the report.
+    """Validate a tileset, a tile's content file or a scene file, and return the report.
 
     Args:
-        path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
+        path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address; or a scene
+            file, see :func:`validate_scene`.
         settings: How far to go (static: JSON and headers; values: all splats; render: pictures of
             two tiles and their children), and severities.
         registry: The rules to check; by default, all installed rules.
@@ -52,6 +55,8 @@ def validate(
     """
     start = time.perf_counter()
     path = Path(path)
+    if path.name != INDEX_FILE and is_scene_file(path):
+        return validate_scene(path, settings, registry=registry, progress=progress)
     settings, registry = _settings_and_rules(path, settings, registry, "tileset")
     progress(f"reading {path.name}")
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET

@@ -25,13 +25,8 @@ def validate_file(path: Path, settings: Settings, progress: Progress) -> Report:
     """Validate a model, a scene file, a tileset or a tile's content, and return the report."""
     if not is_tileset(path):
         return validate(path, settings, progress=progress)
-    from gsgen.formats.tileset_paths import INDEX_FILE
-    from gsgen.runtime.sources.scene_file import is_scene_file
     from gsgen.tiles.validation.validate import validate as validate_tileset
-    from gsgen.tiles.validation.validate import validate_scene
 
-    if path.name != INDEX_FILE and is_scene_file(path):
-        return validate_scene(path, settings, progress=progress)
     return validate_tileset(path, settings, progress=progress)
 
 
