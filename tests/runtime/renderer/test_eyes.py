@@ -123,7 +123,9 @@ def test_what_one_sort_cannot_serve_is_drawn_eye_by_eye(renderer: Renderer) -> N
         assert renderer._plan.image.eyes == 1
         np.testing.assert_array_equal(frame.rgba, alone(renderer, scene, eyes, "color").rgba)
     scene, view = SCENES["many"]()
-    left, right = eyes = apart(view, 0.3)
+    left, right = apart(view, 0.3)
+    right = replace(right, view=Camera.orbit((0, 0, 0), 4, azimuth=9).view)  # eyes may converge
+    eyes = left, right
     frame = renderer.render(scene, left, outputs=("normal",), right=right)
     np.testing.assert_array_equal(frame.normal, alone(renderer, scene, eyes, "normal").normal)
 

@@ -2,7 +2,7 @@
 
 __all__ = ["CountedItems", "FrameReadback", "frame_of"]
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, final
 
 import numpy as np
@@ -91,12 +91,12 @@ class FrameReadback:
 
 def frame_of(
     scene: Scene,
-    camera: Camera,
+    eyes: Sequence[Camera],
     counts: np.ndarray,
     images: dict[str, np.ndarray],
     opacity_behind: float,
 ) -> Frame:
-    """Convert the 32-bit words of rendered GPU images to a frame."""
+    """Convert the 32-bit words of rendered GPU images, side by side for two eyes, to a frame."""
     color, depth_image, normal = (
         images[name].view(np.float32) if name in images else None
         for name in ("color", "depth", "normal")
@@ -111,7 +111,7 @@ def frame_of(
         depth=None if depth_image is None else _mean_depth(depth_image),
         median_depth=None if depth_image is None else _median_depth(depth_image),
         ids=None if depth_image is None else _decode_ids(images["depth"][..., 2], scene),
-        normal=None if normal is None else _world_normals(normal[..., :3], camera),
+        normal=None if normal is None else _world_normals(normal[..., :3], eyes),
         visible=int(counts[Counts.VISIBLE]),
         pairs=int(counts[Counts.PAIRS]),
         color_space=scene.color_space,
@@ -145,10 +145,14 @@ def _decode_ids(id_words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.n
 
 
 def _world_normals(
-    normal: Float32[np.ndarray, "h w 3"], camera: Camera
+    normal: Float32[np.ndarray, "h w 3"], eyes: Sequence[Camera]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Return normals in camera space as unit vectors in world space; zeros stay zeros."""
-    turned_normals = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
+    """Return normals in the space of each eye as unit vectors in world space; zeros stay zeros."""
+    parts = zip(np.split(normal, len(eyes), axis=1), eyes, strict=True)
+    # Rows times R are Rᵀ n.
+    turned_normals = np.concatenate(
+        [part @ eye.view[:3, :3].astype(np.float32) for part, eye in parts], axis=1
+    )
     size = np.linalg.norm(turned_normals, axis=-1, keepdims=True)
     return np.asarray(
         np.divide(turned_normals, size, out=np.zeros_like(turned_normals), where=size > 0)

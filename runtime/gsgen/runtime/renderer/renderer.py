@@ -145,7 +145,8 @@ class Renderer:
             SceneInvalid: ``background`` or ``outputs`` is invalid.
         """
         counts, images = self._draw_images(scene, camera, background, outputs, right)
-        return frame_of(scene, camera, counts, images, float(background[3]))
+        eyes = (camera,) if right is None else (camera, right)
+        return frame_of(scene, eyes, counts, images, float(background[3]))
 
     def submit(
         self,
@@ -188,7 +189,7 @@ class Renderer:
                 self._readbacks.return_readback(readback)
                 if self._is_incomplete(drawn[0]):
                     return None
-        return frame_of(frame.scene, frame.camera, *drawn, frame.opacity_behind)
+        return frame_of(frame.scene, (frame.camera,), *drawn, frame.opacity_behind)
 
     def draw(
         self,
