@@ -163,5 +163,8 @@ def test_a_film_of_segments_is_heard_from_its_start(tmp_path: Path) -> None:
     assert films[0] == films[1]
     assert films[0].endswith(bytes(200) + samples.tobytes() + bytes(2 * (500 - 400)))
     completed = gsgen_here(*words, "--fps", "30", cwd=tmp_path)
-    assert "the film is silent" in completed.err
+    assert "the film is silent: it lasts" in completed.err
     assert b"soun" not in (tmp_path / "film.mp4").read_bytes()
+    (tmp_path / "scene.json").write_text(json.dumps(scene | {"sound": {"path": "speech.mp3"}}))
+    completed = gsgen_here(*words, cwd=tmp_path)
+    assert (completed.code, "speech.mp3 is no .wav file" in completed.err) == (0, True)

@@ -221,10 +221,13 @@ def render(
 
 def _sound(sequence: "FrameSequence", files: "list[SceneFile]", output: Path) -> "Sound | None":
     """Return the sound of the first scene file with one; a note says why a film is silent."""
-    from gsgen.runtime.playback.sound_tracks import film_sound
+    from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, film_sound
 
     file = next((file for file in files if file.sound), None)
     if file is None or file.sound is None or output.suffix.lower() != ".mp4":
+        return None
+    if file.sound.path.suffix.lower() != SOUND_SUFFIX:
+        echo(f"note: the film is silent: {file.sound.path} is no {SOUND_SUFFIX} file", err=True)
         return None
     seconds, frame = sequence.frames / sequence.fps, 1 / sequence.fps
     length = file.span.seconds if file.span else 0.0
