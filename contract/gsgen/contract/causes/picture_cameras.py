@@ -71,7 +71,7 @@ class PosedRows:
 
 def is_equivariant(base: PosedRows, moved: PosedRows) -> bool:
     """Return whether the rows move as the cameras do, as far as rows can be told from their motion."""
-    share = _moving_share(base, moved, _as_given)
+    share = _moving_share(base, moved, lambda views: views)
     return len(base.position) >= _MIN_ROWS and share <= MAX_INVALID_SHARE
 
 
@@ -117,7 +117,7 @@ def reading_of_cameras(
     return Explanation(
         kind="space",
         name=name,
-        declared=_moving_share(base, moved, _as_given),
+        declared=_moving_share(base, moved, lambda views: views),
         fraction=shares[name],
         rows=count,
         hint=_READINGS[name][1],
@@ -131,14 +131,8 @@ def reading_behind_cameras(base: PosedRows) -> Explanation | None:
     if len(is_before) < _MIN_ROWS or share_of(is_before) > MAX_INVALID_SHARE:
         return None
     name, hint = _OPENGL
-    return Explanation(
-        kind="space",
-        name=name,
-        declared=1.0,
-        fraction=share_of(is_before),
-        rows=len(is_before),
-        hint=hint,
-    )
+    share, count = share_of(is_before), len(is_before)
+    return Explanation(kind="space", name=name, declared=1.0, fraction=share, rows=count, hint=hint)
 
 
 def is_translated_otherwise(base: PosedRows, moved: PosedRows) -> bool:
@@ -279,10 +273,6 @@ _ReadLens = Callable[[Float[np.ndarray, "3 3"], tuple[int, int]], Float[np.ndarr
 
 def _in_camera_space(view: Float[np.ndarray, "4 4"], points: Points) -> Points:
     return np.asarray(points @ view[:3, :3].T + view[:3, 3])
-
-
-def _as_given(views: Views) -> Views:
-    return views
 
 
 def _with_parts(
