@@ -4,7 +4,7 @@ import { Ellipsoids, requireCalls } from "./ellipsoids.js";
 
 const ROW_BYTES = 32; // centre, scales, colour, rotation: the rows of SPLAT files
 const LEAST_SCALE = 1e-9; // the engine divides by the largest number of a covariance
-const DEPTHS = 2 ** 20; // that are told apart
+const DEPTHS = 2 ** 17; // that are told apart
 
 /** A mesh of Babylon.js that shows frames of a model. */
 export class BabylonGaussians {
@@ -33,7 +33,9 @@ export class BabylonGaussians {
     this.needsCamera = true;
     this._target = this._ellipsoids.target();
     this._rows = new ArrayBuffer(ROW_BYTES * frames.capacity);
-    this._keys = new Float64Array(frames.capacity);
+    this._depths = new Float64Array(frames.capacity);
+    this._places = new Uint32Array(DEPTHS + 1); // of each depth the next one, once depths are counted
+    this._order = new Uint32Array(frames.capacity);
     /** What scenes hold; its axes are the model's, mirrored where the scene is left-handed. */
     this.mesh = new Mesh("gsgen", null, scene);
     if (!scene.useRightHandedSystem) this.mesh.scaling.z = -1;
@@ -53,11 +55,11 @@ export class BabylonGaussians {
     const toView = world.multiply(camera.getViewMatrix(true)).m;
     const eye = this._babylon.Vector3.TransformCoordinates(camera.globalPosition, world.clone().invert());
     this._ellipsoids.write(frame, this._target, eye.asArray());
-    const order = this._order(toView);
+    this._sort(toView);
     const floats = new Float32Array(this._rows);
     const bytes = new Uint8ClampedArray(this._rows);
-    for (let place = 0; place < order.length; place++) {
-      const row = 4 * (order[place] % order.length);
+    for (let place = 0; place < this._order.length; place++) {
+      const row = 4 * this._order[place];
       const [to, byte] = [8 * place, ROW_BYTES * place + 24];
       for (let axis = 0; axis < 3; axis++) {
         floats[to + axis] = centers[row + axis];
@@ -72,24 +74,29 @@ export class BabylonGaussians {
   }
 
   /**
-   * Return the rows, farthest first: each number modulo how many there are.
+   * Order the rows, farthest first, by counting those of each depth.
    * @param {Float32Array} toView From the rows' axes to the camera's, as the engine stores matrices.
    */
-  _order(toView) {
-    const { _keys: keys } = this;
+  _sort(toView) {
+    const { _depths: depths, _places: places, _order: order } = this;
     const { centers } = this._target;
     const ahead = this.mesh.getScene().useRightHandedSystem ? -1 : 1;
     const [x, y, z] = [2, 6, 10].map((index) => ahead * toView[index]);
     let [nearest, farthest] = [Infinity, -Infinity];
-    for (let row = 0; row < keys.length; row++) {
+    for (let row = 0; row < depths.length; row++) {
       const depth = x * centers[4 * row] + y * centers[4 * row + 1] + z * centers[4 * row + 2];
-      keys[row] = depth;
+      depths[row] = depth;
       if (depth < nearest) nearest = depth;
       if (depth > farthest) farthest = depth;
     }
-    const steps = DEPTHS / (farthest - nearest || 1);
-    for (let row = 0; row < keys.length; row++) keys[row] = Math.round(steps * (farthest - keys[row])) * keys.length + row;
-    return keys.sort();
+    const steps = (DEPTHS - 1) / (farthest - nearest || 1);
+    places.fill(0);
+    for (let row = 0; row < depths.length; row++) {
+      depths[row] = Math.floor(steps * (farthest - depths[row]));
+      places[depths[row] + 1] += 1;
+    }
+    for (let depth = 1; depth < DEPTHS; depth++) places[depth] += places[depth - 1];
+    for (let row = 0; row < depths.length; row++) order[places[depths[row]]++] = row;
   }
 
   /** Remove its mesh, and release its GPU memory. */
