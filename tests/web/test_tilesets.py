@@ -171,7 +171,15 @@ _ELEMENTS = """async ([address, slots]) => {
   const again = await (await second.toBlob()).bytes();
   results.isSame = seen.length === again.length && seen.every((byte, i) => byte === again[i]);
   await step("not displayed", () => (second.style.display = "none"), [whole, 1, 1, 1]);
+  const see = second._see.bind(second);
+  second._see = (isVisible) => {
+    second.requestFrame(); // as turning elements do: the frame comes when they are away
+    see(isVisible);
+  };
+  await step("shown again", () => (second.style = ""), [half, half, 1, 1]);
   await step("scrolled away", () => (second.style = "position: absolute; top: 9000px"), [whole, 1, 1, 1]);
+  await new Promise((resolve) => setTimeout(resolve, 300));
+  results["and later"] = shares();
   await second.toBlob({ width: 8, height: 8 });
   await step("with a picture", () => {}, [whole, 1, 1, 1]);
   await step("scrolled to", () => scrollTo(0, 9000), [1, whole, 1, 1]);
@@ -206,7 +214,9 @@ def test_elements_out_of_view_give_their_slots_to_the_others(folder: Path, site:
         "hidden": alone,
         "back": [slots // 2, slots // 2, 1, 1],
         "not displayed": alone,
+        "shown again": [slots // 2, slots // 2, 1, 1],
         "scrolled away": alone,
+        "and later": alone,
         "with a picture": alone,
         "scrolled to": [1, slots, 1, 1],
         "scrolled back": alone,

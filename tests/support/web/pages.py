@@ -60,7 +60,7 @@ def chromium() -> Iterator[Any]:
 @contextmanager
 def site(browser: Any, **folders: Path) -> Iterator[WebSite]:
     """Serve the client, and open a page of it."""
-    contents: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {"/favicon.ico": b""}  # which browsers ask for
     requests: list[str] = []
     headers: dict[str, dict[str, str]] = {}
     served = {"client": CLIENT, "test": Path(__file__).parent, **folders}

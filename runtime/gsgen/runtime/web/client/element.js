@@ -412,7 +412,7 @@ export class GsgenModel extends ModelControls {
   async _draw(now, isFinal = false) {
     const { _shown: shown } = this;
     const [width, height] = this._size();
-    if (!shown || !width || !height) return;
+    if (!shown || !this._isVisible || !width || !height) return;
     if (this._isDrawing) {
       this._isMissed = true;
       return;

@@ -103,6 +103,7 @@ class ModelOfThree extends PlacedModel {
     super(model, file);
     const { three, device } = shared;
     this.renderedBy = "webgl2";
+    this._inTurn = shared.inTurn; // of all models: they share a canvas
     this.kernels = { device };
     this._shared = shared;
     this._scene = new three.Scene();
@@ -119,7 +120,7 @@ class ModelOfThree extends PlacedModel {
 
   /** @param {import("./shown_model.js").Look} look */
   async draw(width, height, look) {
-    await this._shared.inTurn(async () => {
+    await this._inTurn(async () => {
       const camera = await this._render(width, height, look);
       if (!camera) return;
       this._picture?.close();
@@ -207,11 +208,9 @@ class ModelOfThree extends PlacedModel {
 
   /** @param {import("./shown_model.js").Look} look @returns {Promise<Blob>} */
   async picture(width, height, look, encoding = {}) {
-    return this._shared.inTurn(async () => {
-      if (!(await this._render(width, height, look))) {
-        throw new GsgenError("the model was removed before its picture was drawn");
-      }
-      this.see();
+    return this._inTurn(async () => {
+      const camera = await this._render(width, height, look).finally(() => this.see());
+      if (!camera) throw new GsgenError("the model was removed before its picture was drawn");
       return encodedCanvas(this._shared.canvas, encoding);
     });
   }
