@@ -17,7 +17,8 @@ const openModel = async (name, signal) => {
   signal?.throwIfAborted();
   if (failing.has(name)) throw new Error(`no ${name}`);
   const update = async () => false;
-  return { sets: [], buffers: {}, extent: {}, up: [], time: null, update, destroy: () => log.push(`close ${name}`) };
+  const followsCamera = name === "b";
+  return { sets: [], buffers: {}, extent: {}, up: [], time: null, followsCamera, update, destroy: () => log.push(`close ${name}`) };
 };
 const settled = () => new Promise((resolve) => setTimeout(resolve, 5));
 const taken = () => log.splice(0);
@@ -68,6 +69,19 @@ console.log(JSON.stringify(told));
         ["no b", ["open b"]],
         [None, ["open b", "open c", "close a"]],
     ]
+
+
+def test_frames_follow_the_camera_while_a_segment_does() -> None:
+    told = answer("""
+const model = await open();
+const told = [];
+for (const time of [0, 1, 2]) {
+  await show(model, time);
+  told.push(model.followsCamera);
+}
+console.log(JSON.stringify(told));
+""")
+    assert told == [False, True, False]
 
 
 def test_a_model_that_goes_in_the_midst_of_a_frame_leaves_nothing_open() -> None:

@@ -13,8 +13,8 @@ export class SegmentedModel {
   static async open(part, openModel) {
     const model = new SegmentedModel(part, openModel);
     model._shown = await model._open(0, null);
-    const { extent, up, findings, followsCamera } = model._shown;
-    return Object.assign(model, { extent, up, findings, followsCamera });
+    const { extent, up, findings } = model._shown;
+    return Object.assign(model, { extent, up, findings });
   }
 
   constructor({ segments, capacity }, openModel) {
@@ -38,6 +38,10 @@ export class SegmentedModel {
     return this._shown.buffers;
   }
 
+  get followsCamera() {
+    return this._shown.followsCamera;
+  }
+
   _open(index, signal = /** @type {AbortSignal | null} */ (this._stop.signal)) {
     return remembered(this._opened, index, () => {
       const opening = this._openModel(this._segments[index], signal ?? undefined);
@@ -55,8 +59,7 @@ export class SegmentedModel {
     const [model, before] = [await this._open(index), this._shown];
     const share = Math.min((time - start) / this._segments[index].seconds, 1);
     const isChanged = await model.update(model.time ? { [model.time.name]: valueOfTime(model.time, share) } : {}, camera, path);
-    const { count } = model.buffers;
-    if (count > this._capacity) throw new GsgenError(`has ${count} Gaussians, expected at most ${this._capacity}`, { where: this._segments[index].path, hint: "Raise the capacity." });
+    if (model.buffers.count > this._capacity) throw new GsgenError(`has ${model.buffers.count} Gaussians, expected at most ${this._capacity}`, { where: this._segments[index].path, hint: "Raise the capacity." });
     this._shown = model;
     if (next !== this._lost) this._open(next).then(() => (this._lost = -1), () => (this._lost = next));
     this._leave((other) => other !== index && other !== next);

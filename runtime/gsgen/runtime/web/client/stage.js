@@ -84,8 +84,7 @@ export class Stage {
       throw new GsgenError("is a scene file, expected a splat file or a generator", { where: `${part.where}.path` });
     };
     const opening = scene.models.map(async (part) => {
-      const model = part.segments.length ? SegmentedModel.open(part, openFile) : openFile(part);
-      return { ...part, model: await model };
+      return { ...part, model: await (part.segments.length ? SegmentedModel.open(part, openFile) : openFile(part)) };
     });
     /** @type {import("./stage_meshes.js").StageMeshes | null} */
     let drawn = null;
@@ -130,7 +129,6 @@ export class Stage {
     this.up = scene.up;
     this.inputs = entries.flatMap(({ model }) => model.inputs);
     this.findings = entries.flatMap(({ model }) => model.findings ?? []);
-    this.followsCamera = entries.some(({ model }) => model.followsCamera);
     this.buffers = {
       isLinear: spaces.has(true),
       get count() {
@@ -154,6 +152,11 @@ export class Stage {
     const { camera, fieldOfView } = this._scene;
     const place = isKeyed(camera) ? this.cameraAt(0) : camera;
     return { ...(fieldOfView ? { fieldOfView } : {}), ...place };
+  }
+
+  /** Whether a model of the present time does. */
+  get followsCamera() {
+    return this.entries.some(({ model }) => model.followsCamera);
   }
 
   /** The sums of those of its tilesets; null without. */
@@ -200,8 +203,7 @@ export class Stage {
 
   /** Return the time of a model: it goes through its range once. */
   _ownTime({ time }, seconds) {
-    if (!time || !this.time) return {};
-    return { [time.name]: valueOfTime(time, seconds / this.time.seconds) };
+    return time && this.time ? { [time.name]: valueOfTime(time, seconds / this.time.seconds) } : {};
   }
 
   /** Give all sets their places; return whether there are others than before. */
@@ -262,9 +264,8 @@ function mirrored({ low, high }, transform) {
 
 /** Return the extent of a placed model in the world. */
 function extentOf(entry) {
-  const { model } = entry;
   const transform = worldOf(entry);
-  const { center, half = [0, 0, 0], reach } = model.extent;
+  const { center, half = [0, 0, 0], reach } = entry.model.extent;
   const linear = linearPart(transform);
   return {
     center: moved(transform, center),
