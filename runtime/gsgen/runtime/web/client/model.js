@@ -188,7 +188,7 @@ class Reading {
     };
     const begin = () => {
       model = Object.create(this._still, { destroy: { value: leave } });
-      onBegin?.(model);
+      if (!signal?.aborted) onBegin?.(model);
     };
     const abort = () => left.reject(signal?.reason);
     const user = { options, begin };
