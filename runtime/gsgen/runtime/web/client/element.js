@@ -320,6 +320,7 @@ export class GsgenModel extends ModelControls {
     if (signal.aborted) return shown.destroy();
     if (shown !== this._shown) this._shown?.destroy();
     [this._shown, this._kept, this._failedFrames, this._isPartial] = [shown, null, 0, false];
+    shown.see(this._isVisible);
     this._annotations.write(shown.model.annotations ?? [], (camera) => (this.orbit = camera));
     this._view.hideProgress();
     this._view.showPoster(null);
@@ -331,7 +332,6 @@ export class GsgenModel extends ModelControls {
     this._succeed();
     if (this._isMissed || this.autoRotate || shown.playback?.paused === false) this._requestFrame();
     this._usePosts();
-    shown.see(this._isVisible);
   }
 
   /** The post-process models that the picture goes through: those of a scene, and of `posts`. */
