@@ -172,7 +172,8 @@ class UnknownName(ConfigInvalid):
 
         names = sorted(known)
         meant = names_meant(name, dict.fromkeys(names, "") | dict(words or {}))
-        matches = meant or get_close_matches(name, names, n=1, cutoff=0.65)
+        begun = [known_name for known_name in names if known_name.startswith(f"{name}-")]
+        matches = meant or begun[:3] or get_close_matches(name, names, n=1, cutoff=0.65)
         is_short_list = len(names) <= _MAX_LISTED_NAMES
         nearest_names = get_close_matches(name, names, n=3, cutoff=0.0)
         examples_text = f"{len(names)} are known, such as {', '.join(nearest_names)}."

@@ -115,7 +115,7 @@ rule('GM004', 'error', {kinds: ALL}, (m) => { // I16, M35.3
 const FLOATS = [DTYPE.float32, DTYPE.float16];
 const SH_CHANNELS = [3, 12, 27, 48]; // L10
 
-rule('GM005', 'error', {needs: ['GM004']}, (m) => { // M19, M37, M42
+rule('GM005', 'error', {kinds: ALL, needs: ['GM004']}, (m) => { // M19, M37, M42
   const {gaussians, appearance, cells} = m.manifest.outputs;
   for (const output of [gaussians, cells].filter(Boolean)) {
     const {dtype, shape} = m.graph.output(output.name);

@@ -10,6 +10,7 @@ from gsgen.runtime.errors import MemoryFull
 from gsgen.runtime.gpu import device as devices
 from gsgen.runtime.gpu import spatial_order, splat_residency
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer.placed_pages import scene_pages
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
@@ -209,7 +210,8 @@ def test_earlier_frames_do_not_affect_a_frame(eager: Device, seed: int) -> None:
                 entry.render(changing.scene, camera(9 + step, 7))
         frame = entry.render(changing.scene, changing.camera, outputs=changing.outputs)
         deep += entry._has_deep_tiles
-        arranged += any(page.rows_of is not None for _, page in entry._pages(changing.scene))
+        pages = scene_pages(changing.scene, entry._residency)
+        arranged += any(page.rows_of is not None for _, page in pages)
         assert differing_fields(frame, render_from_scratch(changing, entry, kind)) == [], (
             step,
             kind,

@@ -96,9 +96,8 @@ class CameraFile:
         return matches
 
     def _unknown_camera_error(self, selection: str) -> ConfigInvalid:
-        names = {_file_name(camera.name) for camera in self.cameras}
-        stems = {_file_stem(name) for name in names}  # which name a camera, if only one
-        known_names = stems if len(stems) == len(names) else names
+        form = _file_name if "." in selection else _file_stem
+        known_names = {form(camera.name) for camera in self.cameras}
         error = UnknownName.among("camera", selection, known_names, self.path)
         return ConfigInvalid(
             error.message,
