@@ -333,7 +333,7 @@ export class TilesetModel {
   /** Take the own share of the slots of all tilesets in view; out of view, one slot. */
   _resize(isInView) {
     if (inView.has(this) !== isInView) {
-      inView[isInView ? "add" : "delete"](this);
+      isInView ? inView.add(this) : inView.delete(this);
       inView.forEach((model) => model._options.onChange()); // their shares are others now
     }
     const length = isInView ? Math.max(Math.floor(this._budget / inView.size), 1) : 1;
