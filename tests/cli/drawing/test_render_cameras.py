@@ -53,6 +53,9 @@ def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
     assert wrong.code == 2
     assert "Did you mean 'near'? It has images/near.jpg, images/far.jpg" in wrong.err
     assert "Traceback" not in wrong.err
+    for typed, meant in (("nera.jpg", "near.jpg"), ("images/nera.jpg", "images/near.jpg")):
+        wrong = drawn(folder, "--camera", f"transforms.json#{typed}")
+        assert f"Did you mean '{meant}'?" in wrong.err
 
 
 def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:

@@ -147,6 +147,10 @@ class InspectedModel:
         pairs = [(i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())]
         return [(i, tensor) for i, tensor in pairs if tensor is not None and i.role == role]
 
+    def path_of(self, entry: Input) -> str:
+        """Return the path of a declared input in the manifest, such as ``inputs.0``."""
+        return f"inputs.{(self.manifest.inputs if self.manifest else ()).index(entry)}"
+
     def _output(self, declared: Any) -> Tensor | None:
         return self.graph.output(declared.name) if declared else None
 

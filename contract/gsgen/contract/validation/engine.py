@@ -4,7 +4,7 @@ __all__ = ["Progress", "ignore_progress", "validate_with"]
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
@@ -34,7 +34,7 @@ from gsgen.contract.validation.gates import AT_MOMENTS, MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend, LevelUnavailable
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
-from gsgen.contract.validation.rule import Check, Registry, Rule, Scope
+from gsgen.contract.validation.rule import Check, Registry, Rule, Scope, in_dependency_order
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.tolerances import effective_tolerances
 from gsgen.contract.validation.waivers import Review, apply_waivers
@@ -159,7 +159,7 @@ class _Validation:
         return [rule for rule in rules if rule.scope in scopes and rule.level <= max_level]
 
     def _check_model(self) -> None:
-        for rule in _in_dependency_order(self._rules_of_scope("model", max_level=Level.STATIC)):
+        for rule in in_dependency_order(self._rules_of_scope("model", max_level=Level.STATIC)):
             if self.results.is_ready(rule):
                 self.results.check(rule, self.subject)
                 self.results.settle([rule], items=1)
@@ -168,7 +168,7 @@ class _Validation:
         level = self.settings.level
         if level < Level.VALUES:
             return
-        prerequisite_rules = _in_dependency_order(
+        prerequisite_rules = in_dependency_order(
             self._rules_of_scope("execution", max_level=Level.VALUES)
         )
         if not self._require_runnable_level(prerequisite_rules):
@@ -278,7 +278,7 @@ class _Validation:
 
     def _check_sample(self, probe_outputs: list[ModelOutputs]) -> None:
         """Check statistical rules on the first model run with enough visible Gaussians."""
-        rules = _in_dependency_order(self._rules_of_scope("sample", max_level=Level.VALUES))
+        rules = in_dependency_order(self._rules_of_scope("sample", max_level=Level.VALUES))
         samples = (draw_sample(emission) for emission in probe_outputs if rules)
         sample = next((sample for sample in samples if sample is not None), None)
         for rule in rules:
@@ -293,7 +293,7 @@ class _Validation:
     def _check_behaviour(self, probe_runs: ProbeRuns) -> None:
         self.progress("comparing runs")
         behaviour: Behaviour = read_behaviour(probe_runs)
-        for rule in _in_dependency_order(self._rules_of_scope("runs", max_level=Level.BEHAVIOUR)):
+        for rule in in_dependency_order(self._rules_of_scope("runs", max_level=Level.BEHAVIOUR)):
             if self.results.is_ready(rule):
                 rule_behaviour = behaviour.without_unfinished()
                 self.results.check(rule, rule_behaviour)
@@ -313,7 +313,7 @@ class _Validation:
             if run.sample >= 0 and execution.samples[run.sample].outputs:
                 stored_runs.setdefault(run.sample, run)
         rules = [entry for entry in self.registry.rules.values() if entry.at_moments]
-        for entry in _in_dependency_order(rules):
+        for entry in in_dependency_order(rules):
             if self.results.outcomes[entry.id].status != "pass" or rule.id in self.results.outcomes:
                 continue
             reporting_rule = replace(rule, check=_reported_check(entry))
@@ -362,7 +362,7 @@ class _Validation:
                 self._check_with_backend(
                     backend,
                     probe_runs,
-                    _in_dependency_order(self._rules_of_scope(scope, max_level=level)),
+                    in_dependency_order(self._rules_of_scope(scope, max_level=level)),
                 )
                 self.finished_level = level
 
@@ -415,7 +415,7 @@ class _Validation:
                 known = level in self.registry.backends
                 message = "the model did not run to the end on the CPU" if known else reason
                 self.levels.append(LevelOutcome(level=level, ran=False, reason=message))
-        for rule in _in_dependency_order(self.registry.rules.values()):
+        for rule in in_dependency_order(self.registry.rules.values()):
             if rule.id in self.results.outcomes or rule.scope == "report":
                 continue
             if rule.level > requested_level:
@@ -432,24 +432,6 @@ class _Validation:
             if self.results.is_ready(rule):
                 self.results.check(rule, review)
                 self.results.settle([rule], items=1)
-
-
-def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
-    """Sort validation rules so that each rule comes after the rules that it depends on."""
-    pending_rules = {rule.id: rule for rule in rules}
-    ordered_rules: list[Rule] = []
-
-    def append(rule: Rule) -> None:
-        if pending_rules.pop(rule.id, None) is None:
-            return
-        for needed_rule in rule.needs:
-            if needed_rule in pending_rules:
-                append(pending_rules[needed_rule])
-        ordered_rules.append(rule)
-
-    for rule in list(pending_rules.values()):
-        append(rule)
-    return ordered_rules
 
 
 def _reported_check(rule: Rule) -> Check:

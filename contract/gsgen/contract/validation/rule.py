@@ -4,7 +4,16 @@ A rule is declared once. Its page in the documentation, ``gsgen explain``, the c
 schema and the metadata of machine-readable reports all come from that declaration.
 """
 
-__all__ = ["Check", "Registry", "Rule", "Scope", "backends_in", "rule", "rules_in"]
+__all__ = [
+    "Check",
+    "Registry",
+    "Rule",
+    "Scope",
+    "backends_in",
+    "in_dependency_order",
+    "rule",
+    "rules_in",
+]
 
 import inspect
 import re
@@ -328,3 +337,21 @@ def _is_mistyped_rule_id(id: str, typed_id: str) -> bool:
     """Return whether two rule ids differ in one character, or in the order of two."""
     mismatch_count = sum(a != b for a, b in zip(id, typed_id, strict=False))
     return len(id) == len(typed_id) and (mismatch_count == 1 or sorted(id) == sorted(typed_id))
+
+
+def in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
+    """Sort validation rules so that each rule comes after the rules that it depends on."""
+    pending_rules = {rule.id: rule for rule in rules}
+    ordered_rules: list[Rule] = []
+
+    def append(rule: Rule) -> None:
+        if pending_rules.pop(rule.id, None) is None:
+            return
+        for needed_rule in rule.needs:
+            if needed_rule in pending_rules:
+                append(pending_rules[needed_rule])
+        ordered_rules.append(rule)
+
+    for rule in list(pending_rules.values()):
+        append(rule)
+    return ordered_rules

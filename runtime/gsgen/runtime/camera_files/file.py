@@ -97,6 +97,7 @@ class CameraFile:
 
     def _unknown_camera_error(self, selection: str) -> ConfigInvalid:
         form = _file_name if "." in selection else _file_stem
+        form = _full_name if "/" in selection else form
         known_names = {form(camera.name) for camera in self.cameras}
         error = UnknownName.among("camera", selection, known_names, self.path)
         return ConfigInvalid(

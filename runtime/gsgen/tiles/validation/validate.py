@@ -16,7 +16,7 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.engine import Progress, ignore_progress
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
-from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.contract.validation.rule import Registry, Rule, in_dependency_order
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.formats.tileset_paths import INDEX_FILE
@@ -96,7 +96,7 @@ def validate_scene(
     shows = settings.level >= Level.VALUES
     inspected = inspect_scene(path, settings.limits, shows=shows, progress=progress)
     results = ResultCollector(registry=registry, settings=settings, kind=SCENE)
-    for rule in _in_dependency_order(registry.rules.values()):
+    for rule in in_dependency_order(registry.rules.values()):
         if not results.is_ready(rule):
             continue
         if rule.level > settings.level:
@@ -184,7 +184,7 @@ def _check_tileset(
 ) -> None:
     """Check the tileset rules of the requested levels in order of dependency; skip the others."""
     items = max(len(inspected.contents), 1)
-    for rule in _in_dependency_order(results.registry.rules.values()):
+    for rule in in_dependency_order(results.registry.rules.values()):
         if not results.is_ready(rule):
             continue
         if rule.level > level:
@@ -231,20 +231,6 @@ def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
         inspected.undrawn_reason = (
             f"{error.where}: {error.message}" if error.where else error.message
         )
-
-
-def _in_dependency_order(rules: Iterable[Rule]) -> list[Rule]:
-    """Order validation rules so that each rule comes after the rules that it depends on."""
-    pending, ordered_rules = list(rules), list[Rule]()
-    ids: set[str] = set()
-    while pending:
-        ready = [rule for rule in pending if ids.issuperset(rule.needs)]
-        ordered_rules += ready
-        ids |= {rule.id for rule in ready}
-        pending = [rule for rule in pending if rule.id not in ids]
-        if not ready:
-            return ordered_rules + pending
-    return ordered_rules
 
 
 def _level_outcomes(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:

@@ -395,10 +395,8 @@ def children_follow_parents(behaviour: Behaviour) -> Iterator[Violation]:
             actual = (
                 f"{100 * share:.0f} % of the rows of joint {name!r} move with its parent {parent!r}"
             )
-            inputs = behaviour.subject.manifest.inputs if behaviour.subject.manifest else ()
-            index = inputs.index(entry)
             hint = remove_hint(
-                f"inputs.{index}.joints.{number}.parent",
+                f"{behaviour.subject.path_of(entry)}.joints.{number}.parent",
                 "name the joint that carries this one in the model's own skeleton; check that "
                 "joints stand in the order of the rows of the pose",
             )

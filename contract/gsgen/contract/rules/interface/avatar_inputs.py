@@ -29,7 +29,7 @@ def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
         if not entry.joints:
             continue
         shape = shape_of(subject, entry)
-        path = f"inputs.{declared_inputs(subject).index(entry)}.joints"
+        path = f"{subject.path_of(entry)}.joints"
         hint = remove_hint(path, "list one for each row, in the order of the rows, parents first")
         if entry.role != "pose":
             yield _input_violation(entry, f"role {entry.role} with joints", "role pose")
@@ -65,9 +65,8 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
         if entry.convention == _ARKIT_BLENDSHAPE_SET and entry.range is not None:
             low, high = entry.range
             if not 0 <= low <= high <= 1:
-                index = declared_inputs(subject).index(entry)
                 line = line_hint(f"{entry.name} = {entry.name} * {max(-low, high):.9g}", first=True)
-                hint = f"{set_hint(f'inputs.{index}.range', [0, 1])} {line}"
+                hint = f"{set_hint(f'{subject.path_of(entry)}.range', [0, 1])} {line}"
                 yield _input_violation(entry, f"range {[low, high]}", "within [0, 1]", hint)
 
 

@@ -84,7 +84,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
         elif low < lowest or high > highest:
             expected = f"numbers of {dtype}, from {lowest:.10g} to {highest:.10g}"
             ends = [max(low, lowest), min(high, highest)]
-            path = f"inputs.{declared_inputs(subject).index(entry)}.range"
+            path = f"{subject.path_of(entry)}.range"
             hint = set_hint(path, [int(end) if is_int32 else end for end in ends])
             yield Violation.at(_input_location(entry), actual, expected, hint=hint)
 

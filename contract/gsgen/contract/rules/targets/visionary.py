@@ -137,10 +137,10 @@ def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     for entry, _ in subject.inputs_of("time"):
         if entry.range is not None and entry.range != (0.0, 1.0):
             low, high = entry.range
-            index = (subject.manifest.inputs if subject.manifest else ()).index(entry)
             line = line_hint(
                 f"{entry.name} = {low:.9g} + {entry.name} * {high - low:.9g}", first=True
             )
             is_mended = entry.default in (None, "zeros", 0.0)  # another default needs a number, too
-            hint = f"{line} {set_hint(f'inputs.{index}.range', [0, 1])}" if is_mended else ""
+            range_hint = set_hint(f"{subject.path_of(entry)}.range", [0, 1])
+            hint = f"{line} {range_hint}" if is_mended else ""
             yield Violation.at(f"input {entry.name}", f"range {[low, high]}", "[0, 1]", hint=hint)

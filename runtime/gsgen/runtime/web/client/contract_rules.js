@@ -123,6 +123,10 @@ manifest = self.manifest;
 pairs = [...(function* () { for (const i of py.iter((py.bool(manifest) ? manifest.inputs : []))) yield [i, self.graph.input(i.name)]; })()];
 return [...(function* () { for (const [i, tensor] of py.iter(pairs)) if (((tensor != null) && (py.eq(i.role, role)))) yield [i, tensor]; })()];
 }
+path_of(entry) {
+  const self = this;
+return `inputs.${py.str((py.bool(self.manifest) ? self.manifest.inputs : []).indexOf(entry))}`;
+}
 _output(declared) {
   const self = this;
 return (py.bool(declared) ? self.graph.output(declared.name) : null);
@@ -931,7 +935,7 @@ yield py.violation(_input_location$input_declarations(entry), actual, "whole num
 if (((py.compare(low, lowest) < 0) || (py.compare(high, highest) > 0))) {
 expected = `numbers of ${py.str(dtype)}, from ${py.format(lowest, `.10g`)} to ${py.format(highest, `.10g`)}`;
 ends = [py.max([low, lowest]), py.min([high, highest])];
-path = `inputs.${py.str(declared_inputs$input_declarations(subject).indexOf(entry))}.range`;
+path = `${py.str(subject.path_of(entry))}.range`;
 hint = set_hint$finding(path, [...(function* () { for (const end of py.iter(ends)) yield (py.bool(is_int32) ? py.int(end) : end); })()]);
 yield py.violation(_input_location$input_declarations(entry), actual, expected, undefined, undefined, hint);
 }
@@ -1106,7 +1110,7 @@ if (!py.bool(entry.joints)) {
 continue;
 }
 shape = shape_of$input_declarations(subject, entry);
-path = `inputs.${py.str(declared_inputs$input_declarations(subject).indexOf(entry))}.joints`;
+path = `${py.str(subject.path_of(entry))}.joints`;
 hint = remove_hint$finding(path, "list one for each row, in the order of the rows, parents first");
 if ((!py.eq(entry.role, "pose"))) {
 yield _input_violation$avatar_inputs(entry, `role ${py.str(entry.role)} with joints`, "role pose");
@@ -1138,14 +1142,13 @@ function _input_violation$avatar_inputs(entry, actual, expected, hint = "") {
 return py.violation(`manifest input ${py.str(entry.name)}`, actual, expected, undefined, undefined, hint);
 }
 function* blend_weights_in_unit_range$avatar_inputs(subject) {
-  let entry, high, hint, index, line, low;
+  let entry, high, hint, line, low;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (((py.eq(entry.convention, "arkit-52")) && (entry.range != null))) {
 [low, high] = entry.range;
 if (!(py.compare(0, low) <= 0 && py.compare(low, high) <= 0 && py.compare(high, 1) <= 0)) {
-index = declared_inputs$input_declarations(subject).indexOf(entry);
 line = line_hint$finding(`${py.str(entry.name)} = ${py.str(entry.name)} * ${py.format(py.max([(-low), high]), `.9g`)}`, true);
-hint = `${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))} ${py.str(line)}`;
+hint = `${py.str(set_hint$finding(`${py.str(subject.path_of(entry))}.range`, [0, 1]))} ${py.str(line)}`;
 yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "within [0, 1]", hint);
 }
 }
@@ -1916,14 +1919,14 @@ yield py.violation(`output ${py.str(declared.name)}`, "the count varies", "a con
 }
 }
 function* visionary_time_range$visionary(subject) {
-  let _, entry, high, hint, index, is_mended, line, low;
+  let _, entry, high, hint, is_mended, line, low, range_hint;
 for ([entry, _] of py.iter(subject.inputs_of("time"))) {
 if (((entry.range != null) && (!py.eq(entry.range, [py.float(0.0), py.float(1.0)])))) {
 [low, high] = entry.range;
-index = (py.bool(subject.manifest) ? subject.manifest.inputs : []).indexOf(entry);
 line = line_hint$finding(`${py.str(entry.name)} = ${py.format(low, `.9g`)} + ${py.str(entry.name)} * ${py.format((py.minus(high, low)), `.9g`)}`, true);
 is_mended = (py.contains([null, "zeros", py.float(0.0)], entry.default));
-hint = (py.bool(is_mended) ? `${py.str(line)} ${py.str(set_hint$finding(`inputs.${py.str(index)}.range`, [0, 1]))}` : "");
+range_hint = set_hint$finding(`${py.str(subject.path_of(entry))}.range`, [0, 1]);
+hint = (py.bool(is_mended) ? `${py.str(line)} ${py.str(range_hint)}` : "");
 yield py.violation(`input ${py.str(entry.name)}`, `range ${py.str([low, high])}`, "[0, 1]", undefined, undefined, hint);
 }
 }
