@@ -1,12 +1,13 @@
 """Rules that compare one declared or drawn quantity with a limit: just within it, and beyond."""
 
 import math
-from types import SimpleNamespace
-from typing import Any, cast
+from types import MethodType, SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.rules.interface.avatar_inputs import blend_weights_in_unit_range
 from gsgen.contract.rules.interface.input_declarations import frames_fit_range, input_range_ordered
@@ -23,8 +24,7 @@ def test_blend_weights_of_arkit_lie_between_0_and_1(range: tuple[float, float], 
         Input(name="face", role="expression", range=range, convention=convention)
         for convention in ("arkit-52", "flame")
     ]
-    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=tuple(entries)))
-    violations = list(blend_weights_in_unit_range.check(cast(Any, subject)))
+    violations = list(blend_weights_in_unit_range.check(_declaring(*entries)))
     assert len(violations) == count
 
 
@@ -63,8 +63,7 @@ def test_ranges_are_numbers_of_the_inputs_type(
 ) -> None:
     entry = Input(name="tokens", role="condition", range=range)
     graph = SimpleNamespace(input=lambda name: SimpleNamespace(dtype=dtype))
-    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=(entry,)), graph=graph)
-    assert len(list(input_range_ordered.check(cast(Any, subject)))) == count
+    assert len(list(input_range_ordered.check(_declaring(entry, graph=graph)))) == count
 
 
 @pytest.mark.parametrize(
@@ -84,5 +83,11 @@ def test_frames_of_a_time_begin_at_different_numbers(
     range: tuple[float, float], frames: int, count: int
 ) -> None:
     entry = Input(name="time", role="time", range=range, frames=frames)
-    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=(entry,)))
-    assert len(list(frames_fit_range.check(cast(Any, subject)))) == count
+    assert len(list(frames_fit_range.check(_declaring(entry)))) == count
+
+
+def _declaring(*inputs: Input, **facts: object) -> InspectedModel:
+    """An inspected model whose manifest declares these inputs."""
+    subject = SimpleNamespace(manifest=SimpleNamespace(inputs=inputs), **facts)
+    subject.path_of = MethodType(InspectedModel.path_of, subject)
+    return cast(InspectedModel, subject)
