@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.conformance.viewer_kit.case import ViewerKitCase
 from gsgen.conformance.viewer_kit.write import kit_cases
 from support.web.pages import WebSite
@@ -40,3 +41,14 @@ def test_generators_of_a_page_are_opened_at_the_same_time(site: WebSite, tmp_pat
     assert result["errors"] == []
     first, second = result["extents"]
     assert first == second
+
+
+def test_a_model_in_float16_says_that_the_device_lacks_it(site: WebSite, tmp_path: Path) -> None:
+    """The browser's software device has no `shader-f16`; weights alone are widened by the CPU."""
+    frames = kit_cases()[0].frames[:1]
+    result = drawn_frames(site, find("drift_half").write(tmp_path), frames)
+    assert result["error"] == (
+        "/drift_half.onnx: computes in float16, which this graphics device does not"
+        " | Export it with --dtype float32."
+    )
+    assert drawn_frames(site, find("still_half_sh1").write(tmp_path), frames).get("extent")

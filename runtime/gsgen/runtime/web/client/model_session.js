@@ -5,7 +5,7 @@
  * (most often the colours and the count) come from one run that is not captured.
  */
 
-import { GsgenError } from "./errors.js";
+import { GsgenError, failing } from "./errors.js";
 import { GeneratorInputs, gpuTensors } from "./generator_inputs.js";
 import { storageBuffer } from "./gpu_buffers.js";
 import { onnxRuntime, openSession, runInTurn } from "./onnx_runtime.js";
@@ -71,6 +71,9 @@ export class ModelSession {
     try {
       return await runInTurn(() => session.run(this.inputs.feeds));
     } catch (error) {
+      if (/requires f16|float16/.test(error.message) && !this._device.features.has("shader-f16")) {
+        failing(this._name)("computes in float16, which this graphics device does not", "Export it with --dtype float32.");
+      }
       const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
       throw new GsgenError(`the model fails: ${error.message}`, { where: this._name, hint });
     }

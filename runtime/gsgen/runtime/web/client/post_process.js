@@ -49,9 +49,6 @@ class PostProcess {
     const bytes = new Uint8Array(await download(address, undefined, signal));
     const inspected = inspectedModel(bytes, where, target, "post-process");
     checkInputs(inputs, inspected.manifest, where);
-    if (inspected.inputs.some(({ dtype }) => dtype === "float16") && !kernels.device.features.has("shader-f16")) {
-      failing(where)("computes in float16, which this graphics device does not", "Export it with --dtype float32.");
-    }
     return new PostProcess(kernels, bytes, inspected, inputs, where);
   }
 
