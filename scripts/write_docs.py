@@ -52,7 +52,6 @@ PARTS: dict[str, Part] = {
     "commands": commands.overview,
     "commands-besides": commands.besides,
     "config-keys": contract.config_keys,
-    "finding": runs.finding,
     "kinds": manifest.kinds,
     "field-mutations": contract.field_mutations,
     "fields": manifest.fields,
