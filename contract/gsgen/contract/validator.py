@@ -46,10 +46,8 @@ def validate(
         ModelUnreadable: The file is not an ONNX model.
         InputUnreadable: The file at an address cannot be had.
     """
-    settings, registry = settings or Settings(), registry or installed_rules()
-    if settings.only:
-        registry = registry.with_needs(settings.only)
-    models = registry.of_files("model")
+    settings = settings or Settings()
+    models = (registry or installed_rules()).of_files("model", settings.only)
     return validate_with(models, _on_disk(Path(path)), settings, progress=progress)
 
 

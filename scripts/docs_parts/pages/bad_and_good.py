@@ -13,8 +13,8 @@ import onnx
 
 from gsgen.conformance.fixtures import Fixture, example_model_of_rule, find, fixtures
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.runtime.scene_checks.fixtures import scene_fixtures
 from gsgen.tiles.validation.fixtures import tiles_fixtures
-from gsgen.tiles.validation.scene_fixtures import scene_fixtures
 
 _MAX_LINES: Final = 14  # of a page's code
 _MAX_GOOD: Final = 6  # good lines where the bad ones name other things

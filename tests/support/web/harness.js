@@ -306,6 +306,7 @@ export async function streamedJourney({ address, views, rate, moments, camera, s
   const [shots, left] = [[], [...moments]];
   let [frame, frames, holes, entries, hits] = [-1, 0, 0, 0, 0];
   let wanted = new Set(); // tiles that are seen and not refined
+  const misses = { "not asked for": 0, "on the way": 0, decoded: 0 };
   const cameraAt = (time) => ({ ...camera, view: views[Math.min(Math.floor(time * rate), views.length - 1)] });
   for (;;) {
     const now = (performance.now() - begin) / 1000;
@@ -320,6 +321,10 @@ export async function streamedJourney({ address, views, rate, moments, camera, s
       wanted = new Set([...seen.keys()].filter((tile) => tile.uris.length && !refined.has(tile)));
       const entered = [...wanted].filter((tile) => !before.has(tile));
       [entries, hits] = [entries + entered.length, hits + entered.filter(({ slots }) => slots).length];
+      for (const tile of entered.filter(({ slots }) => !slots)) {
+        const flight = model._planner.pending.get(tile);
+        misses[flight ? (flight.isRead ? "decoded" : "on the way") : "not asked for"] += 1;
+      }
       if (now >= left[0]) {
         const files = model.drawn.flatMap(({ quality, files: names, uris }) => names[quality]?.uri ?? uris);
         shots.push({ moment: left.shift(), now, files });
@@ -331,7 +336,7 @@ export async function streamedJourney({ address, views, rate, moments, camera, s
   const { statistics } = model;
   const unseen = [...model._planner._unseen.values()].reduce((sum, bytes) => sum + bytes, statistics.wasted);
   model.destroy();
-  return { shots, failures, frames, holes, statistics, hitRate: hits / entries, waste: unseen / statistics.received };
+  return { shots, failures, frames, holes, statistics, hitRate: hits / entries, waste: unseen / statistics.received, misses };
 }
 
 /** Draw sets in several sizes with one renderer; return the images, and how many buffers each size took. */

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.contract import Level, Report, Settings
 from gsgen.formats import Splats, write_ply
 from gsgen.tiles.build.build import build_tileset
@@ -20,7 +21,7 @@ from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.validation import drawing
 from gsgen.tiles.validation import validate as validation
 from gsgen.tiles.validation.drawing import ComparedLevels, DrawnTileset, draw_tileset
-from gsgen.tiles.validation.sketches import TilesetSketch, explicit_sketch
+from gsgen.tiles.validation.sketches import explicit_sketch
 from gsgen.tiles.validation.validate import validate
 from support.tiles.level_scenes import knot
 
@@ -109,7 +110,7 @@ def test_parents_unlike_their_children_break_gt022(
     assert report.verdict == "conforms"
 
 
-def write_tileset(spec: TilesetSketch, folder: Path) -> Path:
+def write_tileset(spec: FolderSketch, folder: Path) -> Path:
     spec.write(folder / "tileset.json")
     return folder
 

@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from importlib.metadata import version
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from gsgen.contract._entry_points import plugin_exits_as_errors
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Finding, Violation
 from gsgen.contract.validation.finding_counter import FindingCounter
-from gsgen.contract.validation.report import Outcome, Status
+from gsgen.contract.validation.report import LevelOutcome, Outcome, Report, Status
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validation.waivers import apply_waivers
 
 _MAX_LOCATIONS = 20
 _MAX_CRASH_CHARACTERS = 4000
@@ -193,6 +195,41 @@ class ResultCollector:
             if counter.has_failing_finding
         ]
         return tuple(sorted(findings, key=self._rank))
+
+    def report(
+        self, path: str, levels: Iterable[LevelOutcome], start: float, size: int, sha256: str
+    ) -> Report:
+        """Return the report of a file of another kind than models.
+
+        Args:
+            path: The file, as given by the caller.
+            levels: The outcomes of the requested levels.
+            start: When the validation began, by ``time.perf_counter``.
+            size: Bytes of the file.
+            sha256: Digest of these bytes.
+        """
+        settings = self.settings
+        return Report(
+            path=path,
+            size=size,
+            kind=self.kind,
+            name="",
+            contract="",
+            capacity=None,
+            target=settings.target,
+            level=settings.level,
+            fail_on=settings.fail_on,
+            findings=apply_waivers(self.findings(), settings.waivers, settings.today),
+            outcomes=tuple(self.outcomes[id] for id in self.registry.rules),
+            levels=tuple(levels),
+            environment={"gsgen": version("gsgen")},
+            settings=settings.source,
+            seconds=time.perf_counter() - start,
+            sha256=sha256,
+            required=settings.required,
+            timed=settings.timings,
+            docs_url=settings.docs_url,
+        )
 
     def _rank(self, finding: Finding) -> tuple[int, bool, bool]:
         is_remark = (

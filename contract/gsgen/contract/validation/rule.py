@@ -270,12 +270,18 @@ class Registry:
             backend_by_level[backend.level] = backend
         return cls(rule_by_id, backend_by_level)
 
-    def of_files(self, kind: Literal["model", "tileset", "scene"]) -> "Registry":
-        """Return a registry with only the rules for models, for 3D Tiles or for scene files."""
+    def of_files(
+        self, kind: Literal["model", "tileset", "scene"], only: Iterable[str] = ()
+    ) -> "Registry":
+        """Return a registry with only the rules for models, for 3D Tiles or for scene files.
+
+        With ``only``, it has those of these ids, and the rules on which they depend.
+        """
         others = {"tileset", "scene"}
+        selected = self.with_needs(only) if only else self
         scope_rules = {
             id: rule
-            for id, rule in self.rules.items()
+            for id, rule in selected.rules.items()
             if (rule.scope if rule.scope in others else "model") == kind
         }
         return Registry(scope_rules, self.backends)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
+from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.contract.spec.severity import Level
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.splats import Splats
@@ -20,16 +21,11 @@ from gsgen.formats.spz import container, streams
 from gsgen.tiles.format.extensions import CONTENT_EXTENSION
 from gsgen.tiles.format.json_values import JsonDict
 from gsgen.tiles.format.neural_tile import NEURAL_TILE_EXTENSION as NEURAL
-from gsgen.tiles.validation.sketches import (
-    TilesetSketch,
-    edit_glb,
-    explicit_sketch,
-    implicit_sketch,
-)
+from gsgen.tiles.validation.sketches import edit_glb, explicit_sketch, implicit_sketch
 
 __all__ = ["tiles_fixtures"]
 
-DrawTileset = Callable[[], TilesetSketch]
+DrawTileset = Callable[[], FolderSketch]
 _INDEX_PATH = "/tileset.json"
 
 
@@ -55,19 +51,19 @@ def _register_example(
 
 
 @_register_example()
-def tiles_good() -> TilesetSketch:
+def tiles_good() -> FolderSketch:
     """Fixture: a valid tileset with a root, two leaves in SPZ 2, and a build record."""
     return explicit_sketch()
 
 
 @_register_example()
-def tiles_good_floats() -> TilesetSketch:
+def tiles_good_floats() -> FolderSketch:
     """Fixture: a valid tileset with a root and two leaves in plain float accessors."""
     return explicit_sketch(codec="khr")
 
 
 @_register_example()
-def tiles_good_globe() -> TilesetSketch:
+def tiles_good_globe() -> FolderSketch:
     """Fixture: a valid tileset on the globe with a root and two leaves."""
     matrix = np.eye(4)
     matrix[:3, :3] = [[-0.8, -0.6, 0.0], [0.0, 0.0, 1.0], [-0.6, 0.8, 0.0]]
@@ -76,31 +72,31 @@ def tiles_good_globe() -> TilesetSketch:
 
 
 @_register_example()
-def tiles_good_implicit() -> TilesetSketch:
+def tiles_good_implicit() -> FolderSketch:
     """Fixture: a valid tileset with an implicit octree of two levels of subtrees."""
     return implicit_sketch()
 
 
 @_register_example()
-def tiles_good_qualities() -> TilesetSketch:
+def tiles_good_qualities() -> FolderSketch:
     """Fixture: a valid tileset whose tiles tell files, bytes and worth of three qualities."""
     return explicit_sketch(qualities=(0, 2, 4))
 
 
 @_register_example()
-def tiles_good_implicit_qualities() -> TilesetSketch:
+def tiles_good_implicit_qualities() -> FolderSketch:
     """Fixture: a valid implicit octree of three qualities, told by tables and templates."""
     return implicit_sketch(qualities=(0, 2, 4))
 
 
 @_register_example()
-def tiles_good_neural() -> TilesetSketch:
+def tiles_good_neural() -> FolderSketch:
     """Fixture: a valid tileset with a leaf tile that also holds an ONNX generator."""
     return _neural_sketch()
 
 
 @_register_example("GT001")
-def tiles_without_error() -> TilesetSketch:
+def tiles_without_error() -> FolderSketch:
     """Fixture: a tileset with a leaf that has no geometric error."""
     sketch = explicit_sketch()
     del sketch.document["root"]["children"][0]["geometricError"]
@@ -108,7 +104,7 @@ def tiles_without_error() -> TilesetSketch:
 
 
 @_register_example("GT001")
-def tiles_group_without_class() -> TilesetSketch:
+def tiles_group_without_class() -> FolderSketch:
     """Fixture: a tileset with a group whose class the metadata schema does not have."""
     sketch = explicit_sketch()
     sketch.document["groups"] = [{"class": "houses"}]
@@ -116,7 +112,7 @@ def tiles_group_without_class() -> TilesetSketch:
 
 
 @_register_example("GT002")
-def tiles_child_outside() -> TilesetSketch:
+def tiles_child_outside() -> FolderSketch:
     """Fixture: a tileset with a leaf whose box is larger than the root's box."""
     sketch = explicit_sketch()
     box = sketch.document["root"]["children"][0]["boundingVolume"]["box"]
@@ -125,7 +121,7 @@ def tiles_child_outside() -> TilesetSketch:
 
 
 @_register_example("GT003")
-def tiles_splats_outside() -> TilesetSketch:
+def tiles_splats_outside() -> FolderSketch:
     """Fixture: a tileset with a content box that contains half of the content's splats."""
     sketch = explicit_sketch()
     content = sketch.document["root"]["children"][1]["content"]
@@ -134,7 +130,7 @@ def tiles_splats_outside() -> TilesetSketch:
 
 
 @_register_example("GT004")
-def tiles_error_grows() -> TilesetSketch:
+def tiles_error_grows() -> FolderSketch:
     """Fixture: a tileset with an inner tile whose geometric error exceeds the root's."""
     sketch = explicit_sketch()
     root = sketch.document["root"]
@@ -149,7 +145,7 @@ def tiles_error_grows() -> TilesetSketch:
 
 
 @_register_example("GT005")
-def tiles_content_cut_short() -> TilesetSketch:
+def tiles_content_cut_short() -> FolderSketch:
     """Fixture: a tileset with a truncated leaf file."""
     sketch = explicit_sketch(record=False)
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
@@ -158,7 +154,7 @@ def tiles_content_cut_short() -> TilesetSketch:
 
 
 @_register_example("GT006")
-def tiles_counts_differ() -> TilesetSketch:
+def tiles_counts_differ() -> FolderSketch:
     """Fixture: a tileset whose metadata declares one splat more than the content has."""
     sketch = explicit_sketch()
     sketch.document["root"]["children"][0]["metadata"]["properties"]["splats"] += 1
@@ -166,7 +162,7 @@ def tiles_counts_differ() -> TilesetSketch:
 
 
 @_register_example("GT007")
-def tiles_extension_missing() -> TilesetSketch:
+def tiles_extension_missing() -> FolderSketch:
     """Fixture: a tileset that does not declare the extension for SPZ."""
     sketch = explicit_sketch()
     declared = sketch.document["extensions"][CONTENT_EXTENSION]
@@ -175,7 +171,7 @@ def tiles_extension_missing() -> TilesetSketch:
 
 
 @_register_example("GT008")
-def tiles_hole_in_children() -> TilesetSketch:
+def tiles_hole_in_children() -> FolderSketch:
     """Fixture: a tileset whose only leaf covers half of the splats of the root tile."""
     sketch = explicit_sketch(record=False)
     root = sketch.document["root"]
@@ -186,7 +182,7 @@ def tiles_hole_in_children() -> TilesetSketch:
 
 
 @_register_example("GT009")
-def tiles_spz_version() -> TilesetSketch:
+def tiles_spz_version() -> FolderSketch:
     """Fixture: a tileset with a leaf in SPZ version 3."""
     sketch = explicit_sketch(record=False)
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
@@ -210,7 +206,7 @@ def tiles_spz_version() -> TilesetSketch:
 
 
 @_register_example("GT010")
-def tiles_uri_escapes() -> TilesetSketch:
+def tiles_uri_escapes() -> FolderSketch:
     """Fixture: a tileset with a content outside the tileset's folder."""
     sketch = explicit_sketch()
     sketch.document["root"]["children"][0]["content"]["uri"] = "../elsewhere.glb"
@@ -218,7 +214,7 @@ def tiles_uri_escapes() -> TilesetSketch:
 
 
 @_register_example("GT011")
-def tiles_mirrored() -> TilesetSketch:
+def tiles_mirrored() -> FolderSketch:
     """Fixture: a tileset with a leaf whose transform mirrors."""
     sketch = explicit_sketch()
     mirror_matrix = np.diag([1.0, -1.0, 1.0, 1.0]).ravel().tolist()
@@ -227,7 +223,7 @@ def tiles_mirrored() -> TilesetSketch:
 
 
 @_register_example("GT012")
-def tiles_opacity_above_one() -> TilesetSketch:
+def tiles_opacity_above_one() -> FolderSketch:
     """Fixture: a tileset with an opacity of 1.5."""
     sketch = explicit_sketch(codec="khr", record=False)
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
@@ -242,7 +238,7 @@ def tiles_opacity_above_one() -> TilesetSketch:
 
 
 @_register_example("GT013")
-def tiles_subtree_short() -> TilesetSketch:
+def tiles_subtree_short() -> FolderSketch:
     """Fixture: a tileset with a subtree that lacks its last bytes."""
     sketch = implicit_sketch()
     uri = min(path for path in sketch.files if path.endswith(".subtree"))
@@ -251,7 +247,7 @@ def tiles_subtree_short() -> TilesetSketch:
 
 
 @_register_example("GT014")
-def tiles_leaf_lost() -> TilesetSketch:
+def tiles_leaf_lost() -> FolderSketch:
     """Fixture: a tileset that declares more splats than its leaves have."""
     sketch = explicit_sketch(record=False)
     sketch.document["metadata"]["properties"]["source_splats"] += 7
@@ -259,7 +255,7 @@ def tiles_leaf_lost() -> TilesetSketch:
 
 
 @_register_example("GT015")
-def tiles_file_changed() -> TilesetSketch:
+def tiles_file_changed() -> FolderSketch:
     """Fixture: a tileset with a file whose digest differs from the build record."""
     sketch = explicit_sketch()
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
@@ -268,13 +264,13 @@ def tiles_file_changed() -> TilesetSketch:
 
 
 @_register_example("GT016")
-def tiles_too_many_splats() -> TilesetSketch:
+def tiles_too_many_splats() -> FolderSketch:
     """Fixture: a tileset with a tile of 262,145 equal splats."""
     return explicit_sketch(leaf_rows=262_145)
 
 
 @_register_example("GT017")
-def tiles_root_error_zero() -> TilesetSketch:
+def tiles_root_error_zero() -> FolderSketch:
     """Fixture: a tileset whose root has a geometric error of 0."""
     sketch = explicit_sketch()
     sketch.document["root"]["geometricError"] = 0.0
@@ -282,7 +278,7 @@ def tiles_root_error_zero() -> TilesetSketch:
 
 
 @_register_example("GT018")
-def tiles_empty_leaf() -> TilesetSketch:
+def tiles_empty_leaf() -> FolderSketch:
     """Fixture: a tileset with a leaf without content."""
     sketch = explicit_sketch()
     root = sketch.document["root"]
@@ -292,7 +288,7 @@ def tiles_empty_leaf() -> TilesetSketch:
 
 
 @_register_example("GT019")
-def tiles_draft_names() -> TilesetSketch:
+def tiles_draft_names() -> FolderSketch:
     """Fixture: a tileset whose contents use attribute names of a draft of the glTF extension."""
     sketch = explicit_sketch(codec="khr", record=False)
 
@@ -309,7 +305,7 @@ def tiles_draft_names() -> TilesetSketch:
 
 
 @_register_example("GT020")
-def tiles_neural_digest() -> TilesetSketch:
+def tiles_neural_digest() -> FolderSketch:
     """Fixture: a tileset with an ONNX generator whose digest differs from the declared one."""
     sketch = _neural_sketch()
     extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
@@ -318,7 +314,7 @@ def tiles_neural_digest() -> TilesetSketch:
 
 
 @_register_example("GT021", level=Level.RENDER)
-def tiles_invisible_root() -> TilesetSketch:
+def tiles_invisible_root() -> FolderSketch:
     """Fixture: a tileset whose root has opacities near 0."""
 
     def fade(splats: Splats) -> Splats:
@@ -328,7 +324,7 @@ def tiles_invisible_root() -> TilesetSketch:
 
 
 @_register_example("GT022", level=Level.RENDER)
-def tiles_unlike_root() -> TilesetSketch:
+def tiles_unlike_root() -> FolderSketch:
     """Fixture: a tileset whose root has splats ten times as large as those of other tiles."""
 
     def inflate_scales(splats: Splats) -> Splats:
@@ -338,7 +334,7 @@ def tiles_unlike_root() -> TilesetSketch:
 
 
 @_register_example("GT023")
-def tiles_with_mesh() -> TilesetSketch:
+def tiles_with_mesh() -> FolderSketch:
     """Fixture: a tileset with a leaf that has a triangle beside its splats."""
     sketch = explicit_sketch(record=False)
     leaf = sketch.document["root"]["children"][0]
@@ -360,7 +356,7 @@ def tiles_with_mesh() -> TilesetSketch:
 
 
 @_register_example("GT024")
-def tiles_bytes_untold() -> TilesetSketch:
+def tiles_bytes_untold() -> FolderSketch:
     """Fixture: a tileset whose first leaf tells a byte less of its file than the file has."""
     sketch = explicit_sketch()
     _leaf_properties(sketch)["bytes"][0] -= 1
@@ -368,7 +364,7 @@ def tiles_bytes_untold() -> TilesetSketch:
 
 
 @_register_example("GT024")
-def tiles_quality_lost() -> TilesetSketch:
+def tiles_quality_lost() -> FolderSketch:
     """Fixture: a tileset of three qualities without the coarsest file of a leaf."""
     sketch = explicit_sketch(qualities=(0, 2, 4), record=False)
     del sketch.files[_leaf_properties(sketch)["files"][-1]]
@@ -376,7 +372,7 @@ def tiles_quality_lost() -> TilesetSketch:
 
 
 @_register_example("GT024")
-def tiles_files_swapped() -> TilesetSketch:
+def tiles_files_swapped() -> FolderSketch:
     """Fixture: a tileset of two qualities with a leaf that names its files coarsest first."""
     sketch = explicit_sketch(qualities=(0, 4))
     _leaf_properties(sketch)["files"].reverse()
@@ -384,7 +380,7 @@ def tiles_files_swapped() -> TilesetSketch:
 
 
 @_register_example("GT024")
-def tiles_worth_in_percent() -> TilesetSketch:
+def tiles_worth_in_percent() -> FolderSketch:
     """Fixture: a tileset with a leaf whose files are worth more than 1."""
     sketch = explicit_sketch(qualities=(0, 4))
     _leaf_properties(sketch)["worth"] = [99.9, 99.1]
@@ -392,7 +388,7 @@ def tiles_worth_in_percent() -> TilesetSketch:
 
 
 @_register_example("GT025")
-def tiles_error_of_one_quality() -> TilesetSketch:
+def tiles_error_of_one_quality() -> FolderSketch:
     """Fixture: a tileset of two qualities with a leaf that tells the error of one."""
     sketch = explicit_sketch(qualities=(0, 4))
     del _leaf_properties(sketch)["error"][1]
@@ -400,7 +396,7 @@ def tiles_error_of_one_quality() -> TilesetSketch:
 
 
 @_register_example("GT025")
-def tiles_error_falls_with_quality() -> TilesetSketch:
+def tiles_error_falls_with_quality() -> FolderSketch:
     """Fixture: a tileset with a leaf whose coarser file has the smaller error."""
     sketch = explicit_sketch(qualities=(0, 4))
     _leaf_properties(sketch)["error"].reverse()
@@ -408,19 +404,19 @@ def tiles_error_falls_with_quality() -> TilesetSketch:
 
 
 @_register_example("GT025")
-def tiles_error_below_that_of_tile() -> TilesetSketch:
+def tiles_error_below_that_of_tile() -> FolderSketch:
     """Fixture: a tileset whose root is refined at a larger error than its file has."""
     sketch = explicit_sketch()
     sketch.document["root"]["metadata"]["properties"]["error"] = [0.01]
     return sketch
 
 
-def _leaf_properties(sketch: TilesetSketch) -> JsonDict:
+def _leaf_properties(sketch: FolderSketch) -> JsonDict:
     properties: JsonDict = sketch.document["root"]["children"][0]["metadata"]["properties"]
     return properties
 
 
-def _tell_sizes(sketch: TilesetSketch) -> TilesetSketch:
+def _tell_sizes(sketch: FolderSketch) -> FolderSketch:
     """Correct the bytes that the tiles of a sketch tell of files that were changed."""
     root = sketch.document["root"]
     for tile in (root, *root["children"]):
@@ -428,7 +424,7 @@ def _tell_sizes(sketch: TilesetSketch) -> TilesetSketch:
     return sketch
 
 
-def _neural_sketch() -> TilesetSketch:
+def _neural_sketch() -> FolderSketch:
     from gsgen.conformance.fixtures.builders.moving import drifting_model
 
     sketch = explicit_sketch()

@@ -1,9 +1,8 @@
-"""The kinds of input that the rules of tilesets (GT) and of scene files (GC) check."""
+"""The kinds of input that the rules of tilesets (GT) check."""
 
-__all__ = ["SCENE", "TILESET", "TILE_CONTENT"]
+__all__ = ["TILESET", "TILE_CONTENT"]
 
 from typing import Final
 
 TILESET: Final = "tileset"
 TILE_CONTENT: Final = "tile-content"
-SCENE: Final = "scene"

@@ -1,18 +1,17 @@
 """Generates small tilesets that fixtures and tests change and write."""
 
-__all__ = ["TilesetSketch", "edit_glb", "explicit_sketch", "implicit_sketch", "sample_splats"]
+__all__ = ["edit_glb", "explicit_sketch", "implicit_sketch", "sample_splats"]
 
 import json
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import final
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
+from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.contract.process.drafts import temporary_folder
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.origins import join_splats
@@ -24,7 +23,6 @@ from gsgen.tiles.format.index import (
     ContentRecord,
     TileRecord,
     content_uri,
-    json_bytes,
     tileset_document,
     write_build_record,
 )
@@ -35,22 +33,6 @@ _ROW_COUNT = 24
 _TILE_CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
 _GEOMETRIC_ERROR = 1.0
 _JsonEdit = Callable[[JsonDict], JsonDict]
-
-
-@final
-@dataclass(slots=True)
-class TilesetSketch:
-    """A tileset in memory that can be edited and written."""
-
-    document: JsonDict
-    files: dict[str, bytes] = field(default_factory=dict)
-
-    def write(self, path: Path) -> None:
-        """Write ``tileset.json``, and all other files of the tileset beside it."""
-        for uri, data in {**self.files, path.name: json_bytes(self.document)}.items():
-            file = path.parent / uri
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(data)
 
 
 def sample_splats(
@@ -76,7 +58,7 @@ def explicit_sketch(
     leaf_rows: int = _ROW_COUNT,
     edit_root: Callable[[Splats], Splats] | None = None,
     qualities: tuple[int, ...] = (0,),
-) -> TilesetSketch:
+) -> FolderSketch:
     """Return an explicit tileset of a root and two leaves.
 
     Args:
@@ -104,7 +86,7 @@ def explicit_sketch(
     document = tileset_document(
         root, source_splats=sum(map(len, leaves)), sh_degree=1, codec=codec, transform=transform
     )
-    sketch = TilesetSketch(document, files)
+    sketch = FolderSketch(document, files)
     if record:
         _add_record(sketch, sum(map(len, leaves)))
     return sketch
@@ -166,9 +148,7 @@ def _rows(splats: Splats, rows: slice | np.ndarray) -> Splats:
     return replace(splats, **{name: getattr(splats, name)[rows] for name in names})
 
 
-def implicit_sketch(
-    *, codec: CodecName = "spz", qualities: tuple[int, ...] = (0,)
-) -> TilesetSketch:
+def implicit_sketch(*, codec: CodecName = "spz", qualities: tuple[int, ...] = (0,)) -> FolderSketch:
     """Return an implicit octree of three levels over a cube of 16, in subtrees of two levels."""
     cells = [(0, 0, 0), (3, 0, 1), (3, 1, 1), (2, 3, 2)]
     files: dict[str, bytes] = {}
@@ -212,7 +192,7 @@ def implicit_sketch(
             subtree_levels=2,
         )
         files |= {uri: (path.parent / uri).read_bytes() for uri in uris}
-        sketch = TilesetSketch(json.loads(path.read_bytes()), files)
+        sketch = FolderSketch(json.loads(path.read_bytes()), files)
     _add_record(sketch, total)
     return sketch
 
@@ -222,7 +202,7 @@ def _parent_coordinates(cell: tuple[int, int, int], levels: int) -> tuple[int, i
     return x, y, z
 
 
-def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
+def _add_record(sketch: FolderSketch, source_splats: int) -> None:
     with temporary_folder() as folder:
         path = folder / BUILD_RECORD
         write_build_record(path, key="example", source_splats=source_splats, files=sketch.files)

@@ -1,16 +1,15 @@
-"""Validates a tileset or one content file by the rules GT, and a scene file by the rules GC."""
+"""Validates a tileset or one content file by the rules GT."""
 
-__all__ = ["validate", "validate_scene"]
+__all__ = ["validate"]
 
 import hashlib
 import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.engine import Progress, ignore_progress
@@ -18,8 +17,8 @@ from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
 from gsgen.contract.validation.rule import Registry, Rule, in_dependency_order
 from gsgen.contract.validation.settings import Settings
-from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.formats.tileset_paths import INDEX_FILE
+from gsgen.runtime.scene_checks.validate import validate_scene
 from gsgen.runtime.sources.scene_file import is_scene_file
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import TILESET_KINDS, address_of, open_store
@@ -27,8 +26,7 @@ from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
 from gsgen.tiles.validation.inspected import InspectedTileset
-from gsgen.tiles.validation.inspected_scene import inspect_scene
-from gsgen.tiles.validation.kinds import SCENE, TILE_CONTENT, TILESET
+from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules import all_rules
 
 _CONTENT_SUFFIXES: Final = (".glb", ".gltf")
@@ -47,7 +45,7 @@ def validate(
 
     Args:
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address; or a scene
-            file, see :func:`validate_scene`.
+            file, see :func:`gsgen.runtime.scene_checks.validate.validate_scene`.
         settings: How far to go (static: JSON and headers; values: all splats; render: pictures of
             two tiles and their children), and severities.
         registry: The rules to check; by default, all installed rules.
@@ -57,7 +55,8 @@ def validate(
     path = Path(path)
     if path.name != INDEX_FILE and is_scene_file(path):
         return validate_scene(path, settings, registry=registry, progress=progress)
-    settings, registry = _settings_and_rules(path, settings, registry, "tileset")
+    settings = (settings or Settings()).for_model(path)
+    registry = (registry or all_rules()).of_files("tileset", settings.only)
     progress(f"reading {path.name}")
     kind = TILE_CONTENT if path.suffix.lower() in _CONTENT_SUFFIXES else TILESET
     kinds = _CONTENT_KINDS if kind == TILE_CONTENT else ()
@@ -68,95 +67,7 @@ def validate(
         _check_tileset(results, inspected, settings.level, progress)
         size, digest = _index_digest(store, index)
     levels = _level_outcomes(settings.level, inspected)
-    return _report(address_of(path) or str(path), results, levels, start, size, digest)
-
-
-def validate_scene(
-    path: str | os.PathLike[str],
-    settings: Settings | None = None,
-    *,
-    registry: Registry | None = None,
-    progress: Progress = ignore_progress,
-) -> Report:
-    """Validate a scene file by the rules of its fields, segments and sound; return the report.
-
-    The models that it names have reports of their own.
-
-    Args:
-        path: The scene file.
-        settings: How far to go (static: fields, files and manifests; values: segments are run
-            around their seams), and severities.
-        registry: The rules to check; by default, all installed rules.
-        progress: Called with a few words whenever a new stage begins.
-    """
-    start = time.perf_counter()
-    path = Path(path)
-    settings, registry = _settings_and_rules(path, settings, registry, "scene")
-    progress(f"reading {path.name}")
-    shows = settings.level >= Level.VALUES
-    inspected = inspect_scene(path, settings.limits, shows=shows, progress=progress)
-    results = ResultCollector(registry=registry, settings=settings, kind=SCENE)
-    for rule in in_dependency_order(registry.rules.values()):
-        if not results.is_ready(rule):
-            continue
-        if rule.level > settings.level:
-            results.skip([rule], f"level {rule.level.word} was not asked for")
-        elif rule.level is Level.VALUES and inspected.unshown_reason:
-            results.skip([rule], inspected.unshown_reason)
-        else:
-            results.check(rule, inspected)
-            results.settle([rule], items=max(len(inspected.clips), 1))
-    levels = [LevelOutcome(level=Level.STATIC, ran=True)]
-    if shows:
-        reason = inspected.unshown_reason
-        levels.append(LevelOutcome(level=Level.VALUES, ran=not reason, reason=reason))
-    data = path.read_bytes()
-    return _report(str(path), results, levels, start, len(data), hashlib.sha256(data).hexdigest())
-
-
-def _settings_and_rules(
-    path: Path,
-    settings: Settings | None,
-    registry: Registry | None,
-    files: Literal["tileset", "scene"],
-) -> tuple[Settings, Registry]:
-    """Return the settings for a file, and the rules for its kind that they select."""
-    settings, registry = (settings or Settings()).for_model(path), registry or all_rules()
-    if settings.only:
-        registry = registry.with_needs(settings.only)
-    return settings, registry.of_files(files)
-
-
-def _report(
-    path: str,
-    results: ResultCollector,
-    levels: Iterable[LevelOutcome],
-    start: float,
-    size: int,
-    digest: str,
-) -> Report:
-    settings = results.settings
-    return Report(
-        path=path,
-        size=size,
-        kind=results.kind,
-        name="",
-        contract="",
-        capacity=None,
-        target=settings.target,
-        level=settings.level,
-        fail_on=settings.fail_on,
-        findings=apply_waivers(results.findings(), settings.waivers, settings.today),
-        outcomes=tuple(results.outcomes[id] for id in results.registry.rules),
-        levels=tuple(levels),
-        environment={"gsgen": version("gsgen")},
-        settings=settings.source,
-        seconds=time.perf_counter() - start,
-        sha256=digest,
-        required=settings.required,
-        timed=settings.timings,
-        docs_url=settings.docs_url,
-    )
+    return results.report(address_of(path) or str(path), levels, start, size, digest)
 
 
 def _inspect(

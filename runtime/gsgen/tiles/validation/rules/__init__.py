@@ -1,4 +1,4 @@
-"""Which rules must hold for a tileset of splats (GT), and for a scene file (GC)?"""
+"""Which rules must hold for a tileset of splats (GT)?"""
 
 __all__ = ["TILESET_RULES", "all_rules"]
 
@@ -6,6 +6,7 @@ from functools import cache
 
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.rule import Registry
+from gsgen.runtime.scene_checks.rules import SCENE_RULES
 from gsgen.tiles.validation.rules.contents import (
     content_whole,
     contents_hold_splats,
@@ -24,7 +25,6 @@ from gsgen.tiles.validation.rules.files import (
 )
 from gsgen.tiles.validation.rules.neural import neural_content
 from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
-from gsgen.tiles.validation.rules.scenes import SCENE_RULES
 from gsgen.tiles.validation.rules.structure import (
     child_in_parent,
     geometric_error_falls,

@@ -14,14 +14,14 @@ import numpy as np
 
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
+from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Level
-from gsgen.tiles.validation.sketches import TilesetSketch
 
 __all__ = ["scene_fixtures"]
 
-DrawScene = Callable[[], TilesetSketch]
+DrawScene = Callable[[], FolderSketch]
 _ROWS, _FRAMES, _FPS, _SEGMENTS = 24, 4, 8.0, 3
 _CAPTIONS = "WEBVTT\n\n00:00.250 --> 00:01.000\nHello\n"
 
@@ -55,7 +55,7 @@ def _segment(first: float, *, rows: int = _ROWS, **changes: Any) -> bytes:
     return moved.with_manifest(inputs=(time,)).build().SerializeToString()
 
 
-def _sketch(*firsts: float, **timeline: Any) -> TilesetSketch:
+def _sketch(*firsts: float, **timeline: Any) -> FolderSketch:
     """Return a scene of segments that begin with these frames."""
     firsts = firsts or tuple(float(_FRAMES * number) for number in range(_SEGMENTS))
     paths = [f"clip/from-{first:g}.onnx" for first in firsts]
@@ -67,10 +67,10 @@ def _sketch(*firsts: float, **timeline: Any) -> TilesetSketch:
     if timeline:
         document["timeline"] = timeline
     files = {path: _segment(first) for path, first in zip(paths, firsts, strict=True)}
-    return TilesetSketch(document, files)
+    return FolderSketch(document, files)
 
 
-def _with_sound(seconds: float, captions: str = _CAPTIONS) -> TilesetSketch:
+def _with_sound(seconds: float, captions: str = _CAPTIONS) -> FolderSketch:
     """Return a scene with a recording of some seconds, and captions."""
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:
@@ -85,13 +85,13 @@ def _with_sound(seconds: float, captions: str = _CAPTIONS) -> TilesetSketch:
 
 
 @_example()
-def scene_of_segments() -> TilesetSketch:
+def scene_of_segments() -> FolderSketch:
     """Fixture: a scene file of three segments, each of which ends in the first frame of the next."""
     return _sketch()
 
 
 @_example()
-def scene_that_holds_frames() -> TilesetSketch:
+def scene_that_holds_frames() -> FolderSketch:
     """Fixture: a scene file of stills of one frame each, which do not share Gaussians."""
     sketch = _sketch()
     for number, path in enumerate(list(sketch.files)):
@@ -103,13 +103,13 @@ def scene_that_holds_frames() -> TilesetSketch:
 
 
 @_example()
-def scene_with_sound() -> TilesetSketch:
+def scene_with_sound() -> FolderSketch:
     """Fixture: a scene file of three segments with a recording as long as they are, and captions."""
     return _with_sound(_SEGMENTS * _FRAMES / _FPS)
 
 
 @_example("GC001")
-def scene_without_file() -> TilesetSketch:
+def scene_without_file() -> FolderSketch:
     """Fixture: a scene file whose second segment is missing."""
     sketch = _sketch()
     del sketch.files[f"clip/from-{_FRAMES}.onnx"]
@@ -117,7 +117,7 @@ def scene_without_file() -> TilesetSketch:
 
 
 @_example("GC001")
-def scene_with_unknown_field() -> TilesetSketch:
+def scene_with_unknown_field() -> FolderSketch:
     """Fixture: a scene file with a field that the format does not have."""
     sketch = _sketch()
     sketch.document["segments"] = sketch.document["models"][0]["segments"]
@@ -125,7 +125,7 @@ def scene_with_unknown_field() -> TilesetSketch:
 
 
 @_example("GC002")
-def scene_above_capacity() -> TilesetSketch:
+def scene_above_capacity() -> FolderSketch:
     """Fixture: a scene file whose last segment has more Gaussians than the capacity."""
     sketch = _sketch()
     last = sketch.document["models"][0]["segments"][-1]["path"]
@@ -134,7 +134,7 @@ def scene_above_capacity() -> TilesetSketch:
 
 
 @_example("GC003")
-def scene_of_slow_segment() -> TilesetSketch:
+def scene_of_slow_segment() -> FolderSketch:
     """Fixture: a scene file with a segment of four frames that lasts as long as six."""
     sketch = _sketch()
     sketch.document["models"][0]["segments"][1]["seconds"] = 6 / _FPS
@@ -142,30 +142,30 @@ def scene_of_slow_segment() -> TilesetSketch:
 
 
 @_example("GC004")
-def scene_of_shared_frames() -> TilesetSketch:
+def scene_of_shared_frames() -> FolderSketch:
     """Fixture: a scene file whose segments begin with the last frame of the one before."""
     return _sketch(*((_FRAMES - 1.0) * number for number in range(_SEGMENTS)))
 
 
 @_example("GC005")
-def scene_with_gap() -> TilesetSketch:
+def scene_with_gap() -> FolderSketch:
     """Fixture: a scene file that lacks a frame between two segments."""
     return _sketch(0.0, _FRAMES + 1.0, 2 * _FRAMES + 1.0)
 
 
 @_example("GC006")
-def scene_loop_jumps() -> TilesetSketch:
+def scene_loop_jumps() -> FolderSketch:
     """Fixture: a scene file that loops, whose last segment does not end in the first frame."""
     return _sketch(loop=True)
 
 
 @_example("GC007")
-def scene_sound_cut_off() -> TilesetSketch:
+def scene_sound_cut_off() -> FolderSketch:
     """Fixture: a scene file whose recording is longer than its segments."""
     return _with_sound(_SEGMENTS * _FRAMES / _FPS + 1)
 
 
 @_example("GC007")
-def scene_late_caption() -> TilesetSketch:
+def scene_late_caption() -> FolderSketch:
     """Fixture: a scene file with a caption after the end of its segments."""
     return _with_sound(1.0, _CAPTIONS + "\n00:09.000 --> 00:10.000\nNever\n")

@@ -1,6 +1,6 @@
 """Rules (GC) of scene files with segments: files, frames, seams, the loop, sound and captions."""
 
-__all__ = ["SCENE_RULES"]
+__all__ = ["SCENE", "SCENE_RULES"]
 
 import re
 from collections.abc import Iterator
@@ -17,14 +17,16 @@ from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, read_sound
-from gsgen.runtime.sources.key_frames import SceneSound
-from gsgen.tiles.validation.inspected_scene import (
+from gsgen.runtime.scene_checks.inspected_scene import (
     InspectedScene,
     InspectedSegment,
     Moments,
     Statistics,
 )
-from gsgen.tiles.validation.kinds import SCENE
+from gsgen.runtime.sources.key_frames import SceneSound
+
+SCENE: Final = "scene"
+"""The kind of file that these rules check."""
 
 _scene_rule = partial(rule, over="scene", kinds=(SCENE,))
 _shown_rule = partial(_scene_rule, level=Level.VALUES, needs=("GC001", "GC002"))

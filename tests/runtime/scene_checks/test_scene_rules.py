@@ -17,11 +17,11 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.validation import inspected_scene
+from gsgen.runtime.scene_checks import inspected_scene
+from gsgen.runtime.scene_checks.fixtures import scene_fixtures
+from gsgen.runtime.scene_checks.rules import SCENE_RULES
+from gsgen.runtime.scene_checks.validate import validate_scene
 from gsgen.tiles.validation.rules import all_rules
-from gsgen.tiles.validation.rules.scenes import SCENE_RULES
-from gsgen.tiles.validation.scene_fixtures import scene_fixtures
-from gsgen.tiles.validation.validate import validate_scene
 
 FIXTURES = scene_fixtures()
 BROKEN = [fixture for fixture in FIXTURES if fixture.rule]
