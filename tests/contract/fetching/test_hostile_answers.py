@@ -22,7 +22,8 @@ from gsgen.contract.fetching.errors import (
     ResponseTooLarge,
     ServerUnavailable,
 )
-from support.web.hostile_server import ANSWERS, BODY, OK, hostile_server, send, whole
+from gsgen.contract.fetching.responses import FilePart
+from support.web.hostile_server import ANSWERS, BODY, OK, HostileServer, hostile_server, send, whole
 
 SECONDS = 0.15
 
@@ -224,3 +225,41 @@ def test_gzip_of_a_server_is_unpacked() -> None:
 def test_body_without_a_length_ends_with_the_connection() -> None:
     with hostile_server(send(OK + b"\r\n" + BODY)) as server:
         assert fetch(server.address, max_bytes=100, seconds=5) == BODY
+
+
+@pytest.mark.parametrize(
+    ("headers", "validator"),
+    [
+        ([b'ETag: "1"', b"Last-Modified: Mon, 30 Nov 2026 14:00:00 GMT"], '"1"'),
+        ([b'ETag: W/"1"'], 'W/"1"'),
+        ([b"Last-Modified: Mon, 30 Nov 2026 14:00:00 GMT"], "Mon, 30 Nov 2026 14:00:00 GMT"),
+        ([], ""),
+        ([b'ETag: "1\x01"'], ""),
+        ([b'ETag: "\xe9"'], ""),
+        ([b'ETag: "%s"' % (b"1" * 2000)], ""),
+        ([b'ETag: "1\r\n 2"'], ""),
+    ],
+)
+def test_a_version_comes_with_its_validator_if_that_can_be_sent_back(
+    headers: list[bytes], validator: str
+) -> None:
+    def answer(connection: socket.socket, server: HostileServer) -> None:
+        is_known = validator and server.requests == 2
+        same = b"HTTP/1.1 304 Not Modified\r\n\r\n"
+        connection.sendall(same if is_known else whole(BODY, *headers))
+
+    with hostile_server(answer) as server, WebClient(server.address, seconds=3) as web:
+        assert web.read_version(server.address, "", max_bytes=1 << 20) == (BODY, validator)
+        version = web.read_version(server.address, validator, max_bytes=1 << 20)
+        assert version == ((None if validator else BODY), validator)
+    part = FilePart(address="", max_bytes=1, max_undeclared=1, validator=validator)
+    name = "If-None-Match" if '"' in validator else "If-Modified-Since"
+    assert part.headers == ({name: validator} if validator else {})
+
+
+def test_an_answer_without_a_body_is_no_file() -> None:
+    with (
+        hostile_server(send(b"HTTP/1.1 304 Not Modified\r\n\r\n")) as server,
+        pytest.raises(ServerUnavailable, match="answers 304"),
+    ):
+        fetch(server.address, max_bytes=1 << 20, seconds=SECONDS)

@@ -228,6 +228,21 @@ def test_a_file_that_changed_on_disk_or_has_no_digest_is_not_given(tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_version_is_given_with_its_validator_unless_it_is_damaged(tmp_path: Path) -> None:
+    cache = DiskCache(tmp_path, 1000)
+    cache.put_version("a", "0.webp", "", b"of a server that tells no version")
+    cache.put_version("a", "0.webp", '"1"', b"x" * 2000)
+    assert list(tmp_path.iterdir()) == []
+    for validator, data in (('"1"', b"one\ntwo"), ("Mon, 30 Nov 2026 14:00:00 GMT", b"")):
+        cache.put_version("a", "0.webp", validator, data)
+        assert cache.get_version("a", "0.webp") == (validator, data)
+    assert cache.get_version("b", "0.webp") == ("", b"")
+    (file,) = tmp_path.iterdir()
+    for damaged in (b"", b"\xff", file.read_bytes().replace(b"14:00", b"15:00"), b" \n"):
+        file.write_bytes(damaged)
+        assert cache.get_version("a", "0.webp") == ("", b"")
+
+
 def test_the_cache_lies_where_the_user_wants(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert default_cache_folder() == Path("/somewhere/gsgen/tiles")

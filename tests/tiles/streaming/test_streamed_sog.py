@@ -1,5 +1,8 @@
 """A streamed SOG is drawn by the planner of tilesets, from files that each come once."""
 
+import json
+import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.source import StillFrameSource
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.streaming.tiles_source import TilesSource, open_stream
 from support.commands import gsgen_here
@@ -58,8 +62,6 @@ def test_a_server_is_asked_for_each_file_once(
     town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first session reads no file twice, and keeps all on disk for the second one."""
-    from gsgen.tiles.stores.http_store import HttpStore
-
     asked: list[str] = []
     read = HttpStore.read
 
@@ -84,6 +86,45 @@ def test_a_server_is_asked_for_each_file_once(
     assert len(asked) == len(set(asked))
     assert any(path.endswith(".webp") for path in asked)
     assert counts == [len(asked)] * 2
+
+
+def test_files_without_a_digest_are_kept_while_their_server_has_the_same(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of files as other programs name them, a second session reads those that have changed."""
+    folder = tmp_path / "foreign"
+    shutil.copytree(town, folder)
+    index = json.loads((folder / "lod-meta.json").read_text())
+    for number, name in enumerate(index["filenames"]):
+        (folder / name).parent.rename(folder / str(number))
+        index["filenames"][number] = f"{number}/meta.json"
+    (folder / "lod-meta.json").write_text(json.dumps(index))
+    sent: list[str] = []
+    read_version = HttpStore.read_version
+
+    def count(store: HttpStore, path: str, *rest: Any) -> tuple[bytes | None, str]:
+        data, validator = read_version(store, path, *rest)
+        if data is not None:
+            sent.append(path)
+        return data, validator
+
+    monkeypatch.setattr(HttpStore, "read_version", count)
+    options = SessionOptions(max_error=0.01, cache_folder=tmp_path / "cache")
+    counts = []
+    with served(folder) as address:
+        for _ in range(3):
+            session = open_session(f"{address}lod-meta.json", options)
+            frame = session.frame(Frustum.from_camera(VIEW))
+            while not frame.is_complete:
+                session.wait(0.05)
+                frame = session.frame(Frustum.from_camera(VIEW))
+            session.close()
+            assert frame.missing == 0
+            counts.append(len(sent))
+            if len(counts) == 2:
+                os.utime(folder / sent[0], (0, 0))  # another version, as far as the server tells
+    assert counts == [len(set(sent)), counts[0], counts[0] + 1]
+    assert sent[-1] == sent[0]
 
 
 def test_a_folder_or_address_may_hold_a_streamed_sog(town: Path) -> None:

@@ -35,6 +35,7 @@ _REDIRECT_STATUSES: Final = (301, 302, 303, 307, 308)
 _MAX_UNDECLARED_BYTES: Final = 32 << 20
 """Most bytes in memory of a response that is compressed, or does not declare its length."""
 
+_MAX_VALIDATOR: Final = 1000  # characters
 _PERMANENT_ERRORS: Final = (ssl.SSLError, ConnectionRefusedError, socket.gaierror)
 """Failures to connect that another attempt would meet, too."""
 
@@ -178,6 +179,40 @@ class WebClient:
         )
         return data.getvalue()
 
+    def read_version(
+        self,
+        address: str,
+        validator: str,
+        *,
+        max_bytes: int,
+        on_bytes: ByteProgressCallback = _ignore_bytes,
+        deadline: Deadline | None = None,
+    ) -> tuple[bytes | None, str]:
+        """Return the bytes of a file, and the validator of this version; None if they are the same.
+
+        Args:
+            address: Of the file.
+            validator: Of the version that is there, its ``ETag`` or date; empty without one.
+            max_bytes: As in :meth:`read`.
+            on_bytes: As in :meth:`read`.
+            deadline: As in :meth:`read`.
+        """
+        data = io.BytesIO()
+        part = FilePart(
+            address=address,
+            max_bytes=max_bytes,
+            max_undeclared=_MAX_UNDECLARED_BYTES,
+            validator=validator,
+        )
+        response = self._copy_response_body(
+            part, data, lambda received, _: on_bytes(received), deadline or self.deadline()
+        )
+        if response.status == 304:
+            return None, validator
+        told = response.getheader("ETag") or response.getheader("Last-Modified") or ""
+        is_plain = told.isascii() and told.isprintable() and len(told) <= _MAX_VALIDATOR
+        return data.getvalue(), told if is_plain else ""
+
     def copy(
         self,
         address: str,
@@ -204,15 +239,15 @@ class WebClient:
 
     def _copy_response_body(
         self, part: FilePart, into: BinaryIO, on_bytes: SizeProgressCallback, deadline: Deadline
-    ) -> None:
-        def attempt() -> None:
+    ) -> HTTPResponse:
+        def attempt() -> HTTPResponse:
             into.seek(0)
             into.truncate()
             on_bytes(0, None)
             with self._open_response("GET", part.address, part.headers, deadline) as answer:
                 response = answer[0]
-                if response.status == 416:
-                    return
+                if response.status in (304, 416):
+                    return response
                 # A coded body has another length than the file.
                 total = None if response.getheader("Content-Encoding") else response.length
                 before, budget = part.bytes_before(response), part.budget(response)
@@ -220,8 +255,9 @@ class WebClient:
                 for piece in part.select(chunks, before, budget):
                     into.write(piece)
                     on_bytes(into.tell(), total)
+                return response
 
-        self._fetch_with_retries(attempt, deadline)
+        return self._fetch_with_retries(attempt, deadline)
 
     def close(self) -> None:
         """Close all connections; requests that run end with an error."""
@@ -267,7 +303,7 @@ class WebClient:
             connection, response = self._send_request(method, target, address, headers, deadline)
             try:
                 if response.status not in _REDIRECT_STATUSES:
-                    check_status(response, address, is_ranged="Range" in headers)
+                    check_status(response, address, headers)
                     yield response, connection
                     return
                 location = response.getheader("Location", "")

@@ -2,7 +2,7 @@
 
 __all__ = ["FilePart", "check_status"]
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
@@ -30,6 +30,7 @@ class FilePart:
         size: How many; None for all that follow.
         max_bytes: More is an error.
         max_undeclared: Most bytes of a response that is compressed or declares no length.
+        validator: Of the version that is there: its ``ETag``, or when it was last modified.
     """
 
     address: str
@@ -37,10 +38,14 @@ class FilePart:
     size: int | None = None
     max_bytes: int
     max_undeclared: int
+    validator: str = ""
 
     @property
     def headers(self) -> dict[str, str]:
-        """The header of a request for a range of bytes; empty for a whole file."""
+        """The headers of a request for a range of bytes, or for another version than the one here."""
+        if self.validator:
+            is_tag = self.validator.endswith('"')
+            return {"If-None-Match" if is_tag else "If-Modified-Since": self.validator}
         if not self.start and self.size is None:
             return {}
         last = "" if self.size is None else str(self.start + self.size - 1)
@@ -86,10 +91,11 @@ class FilePart:
         return ResponseTooLarge(f"{actual}; expected {budget:,} bytes or fewer", where=self.address)
 
 
-def check_status(response: HTTPResponse, address: str, *, is_ranged: bool) -> None:
-    """Raise for a response that is not the requested file."""
+def check_status(response: HTTPResponse, address: str, headers: Mapping[str, str]) -> None:
+    """Raise for a response that does not answer a request with these headers."""
     status = response.status
-    if status == 200 or (is_ranged and status in (206, 416)):
+    expected = (206, 416) if "Range" in headers else (304,) if headers else ()
+    if status == 200 or status in expected:
         return
     if status in _NOT_FOUND_STATUSES:
         raise FileMissing(f"the server answers {status}", where=address, hint=_NOT_FOUND_HINT)

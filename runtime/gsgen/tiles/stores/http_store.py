@@ -77,6 +77,19 @@ class HttpStore(Store):
                 deadline=self._deadline,
             )
 
+    def read_version(
+        self, path: str, validator: str, limit: int, on_bytes: Callable[[int], None]
+    ) -> tuple[bytes | None, str]:
+        """Read a whole file unless it is the version of a validator; return that of its version."""
+        with _translate_faults(self._full_location(path)):
+            return self._client.read_version(
+                self._url_of_path(path),
+                validator,
+                max_bytes=limit,
+                on_bytes=on_bytes,
+                deadline=self._deadline,
+            )
+
     def save(self, path: str, into: BinaryIO, limit: int = MAX_STORE_FILE_BYTES) -> None:
         """Copy a whole file from the web server into an empty file; errors as in reading."""
         with _translate_faults(self._full_location(path)):

@@ -26,7 +26,7 @@ from gsgen.tiles.loading.streamed_sog import SogFiles
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.streaming.disk_cache import DiskCache
+from gsgen.tiles.streaming.disk_cache import DiskCache, digest_in_path
 from gsgen.tiles.streaming.session_frame import TileArrival
 
 
@@ -117,12 +117,22 @@ class ContentReader:
         """Read a file of the tileset; files of web servers come from the disk cache if cached."""
         if not isinstance(store, HttpStore):
             return store.read(uri, limit=limit)
-        data = self._disk_cache.get(store.name, uri, digest) if self._disk_cache else None
-        if data is None:
+        cache = self._disk_cache
+        if cache is None:
+            return store.read(uri, limit=limit, on_bytes=on_bytes)
+        if digest or digest_in_path(uri):
+            cached = cache.get(store.name, uri, digest)
+            if cached is not None:
+                return cached
             data = store.read(uri, limit=limit, on_bytes=on_bytes)
-            if self._disk_cache:
-                self._disk_cache.put(store.name, uri, data, digest)
-        return data
+            cache.put(store.name, uri, data, digest)
+            return data
+        validator, cached = cache.get_version(store.name, uri)
+        version, validator = store.read_version(uri, validator, limit, on_bytes)
+        if version is None:
+            return cached
+        cache.put_version(store.name, uri, validator, version)
+        return version
 
     def decode(self, tile: int, files: "list[Container | Splats]") -> TileArrival:
         """Decode the content files of a tile into packed Gaussians.

@@ -1,6 +1,6 @@
 """A cache of downloaded files on disk, with a cap on its bytes."""
 
-__all__ = ["DiskCache", "default_cache_folder"]
+__all__ = ["DiskCache", "default_cache_folder", "digest_in_path"]
 
 import contextlib
 import hashlib
@@ -26,9 +26,10 @@ def default_cache_folder() -> Path:
 
 @final
 class DiskCache:
-    """A disk cache of downloaded files with known SHA-256, by which cached bytes are verified.
+    """A disk cache of downloaded files, whose bytes are verified by their SHA-256.
 
-    Where no SHA-256 is given, the file's path has to hold its first digits.
+    Where no SHA-256 is given, the file's path has to hold its first digits. Files that may change
+    are kept with the validator by which their server knows the version.
     The least recently used files leave first. Several processes may share the folder: each locks
     the file ``FOLDER.lock`` to store a file, and adds the file's bytes to the sum that stands in it.
     A folder that cannot be written is as good as an empty cache.
@@ -55,7 +56,7 @@ class DiskCache:
             path: Of the file in it.
             digest: SHA-256 of the content in hexadecimal; if None, its start is in the path.
         """
-        digest = digest or _digest_in_path(path)
+        digest = digest or digest_in_path(path)
         if digest is None:
             return None
         file = self._file(store, path)
@@ -71,12 +72,31 @@ class DiskCache:
 
     def put(self, store: str, path: str, data: bytes, digest: str | None = None) -> None:
         """Store a file in the disk cache, unless it may change or is incomplete."""
-        digest = digest or _digest_in_path(path)
-        if digest is None or len(data) > self._max_bytes:
-            return
-        if not hashlib.sha256(data).hexdigest().startswith(digest):
-            return
+        digest = digest or digest_in_path(path)
+        if digest and hashlib.sha256(data).hexdigest().startswith(digest):
+            self._write(self._file(store, path), data)
+
+    def get_version(self, store: str, path: str) -> tuple[str, bytes]:
+        """Return the validator and the content of a file that may change; empty if it is absent."""
         file = self._file(store, path)
+        with contextlib.suppress(OSError):
+            head, _, data = file.read_bytes().partition(b"\n")
+            digest, _, validator = head.partition(b" ")
+            if hashlib.sha256(validator + data).hexdigest().encode() == digest:
+                os.utime(file)
+                return validator.decode(), data
+        return "", b""
+
+    def put_version(self, store: str, path: str, validator: str, data: bytes) -> None:
+        """Store a file that may change, with the validator of its version."""
+        if validator:
+            digest = hashlib.sha256(validator.encode() + data).hexdigest()
+            self._write(self._file(store, path), f"{digest} {validator}\n".encode() + data)
+
+    def _write(self, file: Path, data: bytes) -> None:
+        """Store bytes; the least recently used files leave for them."""
+        if len(data) > self._max_bytes:
+            return
         with self._lock, contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
             with self._open_locked_file() as total_file:
@@ -128,7 +148,8 @@ class DiskCache:
         return total + size
 
 
-def _digest_in_path(path: str) -> str | None:
+def digest_in_path(path: str) -> str | None:
+    """Return the first digits of a file's SHA-256, if its path holds them."""
     match = DIGEST_IN_PATH.search(path)
     return match[1] if match else None
 
