@@ -6,14 +6,14 @@ Registered under the entry point group ``gsgen.fixtures``.
 import io
 import sys
 import wave
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
+from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, invalid
 from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.conformance.fixtures.builders.moving import drifting_model
 from gsgen.contract.spec.manifest import Input
@@ -21,7 +21,6 @@ from gsgen.contract.spec.severity import Level
 
 __all__ = ["scene_fixtures"]
 
-DrawScene = Callable[[], FolderSketch]
 _ROWS, _FRAMES, _FPS, _SEGMENTS = 24, 4, 8.0, 3
 _CAPTIONS = "WEBVTT\n\n00:00.250 --> 00:01.000\nHello\n"
 
@@ -31,18 +30,7 @@ def scene_fixtures() -> list[Fixture]:
     return fixtures_in(sys.modules[__name__])
 
 
-def _example(rule: str = "") -> Callable[[DrawScene], Fixture]:
-    def declare(draw: DrawScene) -> Fixture:
-        return Fixture(
-            name=draw.__name__,
-            rule=rule,
-            summary=summary_of(draw),
-            draw=draw,  # type: ignore[arg-type]
-            level=Level.VALUES,
-            suffix="/scene.json",
-        )
-
-    return declare
+_scene = partial(invalid, level=Level.VALUES, suffix="/scene.json")
 
 
 def _segment(first: float, *, rows: int = _ROWS, **changes: Any) -> bytes:
@@ -84,13 +72,13 @@ def _with_sound(seconds: float, captions: str = _CAPTIONS) -> FolderSketch:
     return sketch
 
 
-@_example()
+@_scene("")
 def scene_of_segments() -> FolderSketch:
     """Fixture: a scene file of three segments, each of which ends in the first frame of the next."""
     return _sketch()
 
 
-@_example()
+@_scene("")
 def scene_that_holds_frames() -> FolderSketch:
     """Fixture: a scene file of stills of one frame each, which do not share Gaussians."""
     sketch = _sketch()
@@ -102,13 +90,13 @@ def scene_that_holds_frames() -> FolderSketch:
     return sketch
 
 
-@_example()
+@_scene("")
 def scene_with_sound() -> FolderSketch:
     """Fixture: a scene file of three segments with a recording as long as they are, and captions."""
     return _with_sound(_SEGMENTS * _FRAMES / _FPS)
 
 
-@_example("GC001")
+@_scene("GC001")
 def scene_without_file() -> FolderSketch:
     """Fixture: a scene file whose second segment is missing."""
     sketch = _sketch()
@@ -116,7 +104,7 @@ def scene_without_file() -> FolderSketch:
     return sketch
 
 
-@_example("GC001")
+@_scene("GC001")
 def scene_with_unknown_field() -> FolderSketch:
     """Fixture: a scene file with a field that the format does not have."""
     sketch = _sketch()
@@ -124,7 +112,7 @@ def scene_with_unknown_field() -> FolderSketch:
     return sketch
 
 
-@_example("GC002")
+@_scene("GC002")
 def scene_above_capacity() -> FolderSketch:
     """Fixture: a scene file whose last segment has more Gaussians than the capacity."""
     sketch = _sketch()
@@ -133,7 +121,7 @@ def scene_above_capacity() -> FolderSketch:
     return sketch
 
 
-@_example("GC003")
+@_scene("GC003")
 def scene_of_slow_segment() -> FolderSketch:
     """Fixture: a scene file with a segment of four frames that lasts as long as six."""
     sketch = _sketch()
@@ -141,31 +129,31 @@ def scene_of_slow_segment() -> FolderSketch:
     return sketch
 
 
-@_example("GC004")
+@_scene("GC004")
 def scene_of_shared_frames() -> FolderSketch:
     """Fixture: a scene file whose segments begin with the last frame of the one before."""
     return _sketch(*((_FRAMES - 1.0) * number for number in range(_SEGMENTS)))
 
 
-@_example("GC005")
+@_scene("GC005")
 def scene_with_gap() -> FolderSketch:
     """Fixture: a scene file that lacks a frame between two segments."""
     return _sketch(0.0, _FRAMES + 1.0, 2 * _FRAMES + 1.0)
 
 
-@_example("GC006")
+@_scene("GC006")
 def scene_loop_jumps() -> FolderSketch:
     """Fixture: a scene file that loops, whose last segment does not end in the first frame."""
     return _sketch(loop=True)
 
 
-@_example("GC007")
+@_scene("GC007")
 def scene_sound_cut_off() -> FolderSketch:
     """Fixture: a scene file whose recording is longer than its segments."""
     return _with_sound(_SEGMENTS * _FRAMES / _FPS + 1)
 
 
-@_example("GC007")
+@_scene("GC007")
 def scene_late_caption() -> FolderSketch:
     """Fixture: a scene file with a caption after the end of its segments."""
     return _with_sound(1.0, _CAPTIONS + "\n00:09.000 --> 00:10.000\nNever\n")

@@ -3,6 +3,7 @@
 __all__ = ["SCENE", "SCENE_RULES"]
 
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +16,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.rule import rule
+from gsgen.contract.validation.rule import rule, rules_in
 from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, read_sound
 from gsgen.runtime.scene_checks.inspected_scene import (
     InspectedScene,
@@ -299,13 +300,5 @@ def _seconds_of(time: str) -> float:
     return 3600 * sum(hours) + 60 * minutes + seconds
 
 
-SCENE_RULES: Final = (
-    scene_file_whole,
-    segments_alike,
-    segments_last_their_frames,
-    frames_once,
-    seams_continue,
-    loop_closes,
-    sound_in_time,
-)
+SCENE_RULES: Final = tuple(rules_in(sys.modules[__name__]))
 """All rules, in order of their ids."""

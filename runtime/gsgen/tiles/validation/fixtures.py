@@ -7,12 +7,12 @@ import hashlib
 import json
 import struct
 import sys
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
+from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, invalid
 from gsgen.conformance.fixtures.builders.folder_sketch import FolderSketch
 from gsgen.contract.spec.severity import Level
 from gsgen.formats.glb.container import build
@@ -25,44 +25,28 @@ from gsgen.tiles.validation.sketches import edit_glb, explicit_sketch, implicit_
 
 __all__ = ["tiles_fixtures"]
 
-DrawTileset = Callable[[], FolderSketch]
-_INDEX_PATH = "/tileset.json"
-
 
 def tiles_fixtures() -> list[Fixture]:
     """Return all example tilesets, valid and invalid."""
     return fixtures_in(sys.modules[__name__])
 
 
-def _register_example(
-    rule: str = "", *, level: Level = Level.VALUES
-) -> Callable[[DrawTileset], Fixture]:
-    def declare(draw: DrawTileset) -> Fixture:
-        return Fixture(
-            name=draw.__name__,
-            rule=rule,
-            summary=summary_of(draw),
-            draw=draw,  # type: ignore[arg-type]
-            level=level,
-            suffix=_INDEX_PATH,
-        )
-
-    return declare
+_tileset = partial(invalid, level=Level.VALUES, suffix="/tileset.json")
 
 
-@_register_example()
+@_tileset("")
 def tiles_good() -> FolderSketch:
     """Fixture: a valid tileset with a root, two leaves in SPZ 2, and a build record."""
     return explicit_sketch()
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_floats() -> FolderSketch:
     """Fixture: a valid tileset with a root and two leaves in plain float accessors."""
     return explicit_sketch(codec="khr")
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_globe() -> FolderSketch:
     """Fixture: a valid tileset on the globe with a root and two leaves."""
     matrix = np.eye(4)
@@ -71,31 +55,31 @@ def tiles_good_globe() -> FolderSketch:
     return explicit_sketch(transform=matrix)
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_implicit() -> FolderSketch:
     """Fixture: a valid tileset with an implicit octree of two levels of subtrees."""
     return implicit_sketch()
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_qualities() -> FolderSketch:
     """Fixture: a valid tileset whose tiles tell files, bytes and worth of three qualities."""
     return explicit_sketch(qualities=(0, 2, 4))
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_implicit_qualities() -> FolderSketch:
     """Fixture: a valid implicit octree of three qualities, told by tables and templates."""
     return implicit_sketch(qualities=(0, 2, 4))
 
 
-@_register_example()
+@_tileset("")
 def tiles_good_neural() -> FolderSketch:
     """Fixture: a valid tileset with a leaf tile that also holds an ONNX generator."""
     return _neural_sketch()
 
 
-@_register_example("GT001")
+@_tileset("GT001")
 def tiles_without_error() -> FolderSketch:
     """Fixture: a tileset with a leaf that has no geometric error."""
     sketch = explicit_sketch()
@@ -103,7 +87,7 @@ def tiles_without_error() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT001")
+@_tileset("GT001")
 def tiles_group_without_class() -> FolderSketch:
     """Fixture: a tileset with a group whose class the metadata schema does not have."""
     sketch = explicit_sketch()
@@ -111,7 +95,7 @@ def tiles_group_without_class() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT002")
+@_tileset("GT002")
 def tiles_child_outside() -> FolderSketch:
     """Fixture: a tileset with a leaf whose box is larger than the root's box."""
     sketch = explicit_sketch()
@@ -120,7 +104,7 @@ def tiles_child_outside() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT003")
+@_tileset("GT003")
 def tiles_splats_outside() -> FolderSketch:
     """Fixture: a tileset with a content box that contains half of the content's splats."""
     sketch = explicit_sketch()
@@ -129,7 +113,7 @@ def tiles_splats_outside() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT004")
+@_tileset("GT004")
 def tiles_error_grows() -> FolderSketch:
     """Fixture: a tileset with an inner tile whose geometric error exceeds the root's."""
     sketch = explicit_sketch()
@@ -144,7 +128,7 @@ def tiles_error_grows() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT005")
+@_tileset("GT005")
 def tiles_content_cut_short() -> FolderSketch:
     """Fixture: a tileset with a truncated leaf file."""
     sketch = explicit_sketch(record=False)
@@ -153,7 +137,7 @@ def tiles_content_cut_short() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT006")
+@_tileset("GT006")
 def tiles_counts_differ() -> FolderSketch:
     """Fixture: a tileset whose metadata declares one splat more than the content has."""
     sketch = explicit_sketch()
@@ -161,7 +145,7 @@ def tiles_counts_differ() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT007")
+@_tileset("GT007")
 def tiles_extension_missing() -> FolderSketch:
     """Fixture: a tileset that does not declare the extension for SPZ."""
     sketch = explicit_sketch()
@@ -170,7 +154,7 @@ def tiles_extension_missing() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT008")
+@_tileset("GT008")
 def tiles_hole_in_children() -> FolderSketch:
     """Fixture: a tileset whose only leaf covers half of the splats of the root tile."""
     sketch = explicit_sketch(record=False)
@@ -181,7 +165,7 @@ def tiles_hole_in_children() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT009")
+@_tileset("GT009")
 def tiles_spz_version() -> FolderSketch:
     """Fixture: a tileset with a leaf in SPZ version 3."""
     sketch = explicit_sketch(record=False)
@@ -205,7 +189,7 @@ def tiles_spz_version() -> FolderSketch:
     return _tell_sizes(sketch)
 
 
-@_register_example("GT010")
+@_tileset("GT010")
 def tiles_uri_escapes() -> FolderSketch:
     """Fixture: a tileset with a content outside the tileset's folder."""
     sketch = explicit_sketch()
@@ -213,7 +197,7 @@ def tiles_uri_escapes() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT011")
+@_tileset("GT011")
 def tiles_mirrored() -> FolderSketch:
     """Fixture: a tileset with a leaf whose transform mirrors."""
     sketch = explicit_sketch()
@@ -222,7 +206,7 @@ def tiles_mirrored() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT012")
+@_tileset("GT012")
 def tiles_opacity_above_one() -> FolderSketch:
     """Fixture: a tileset with an opacity of 1.5."""
     sketch = explicit_sketch(codec="khr", record=False)
@@ -237,7 +221,7 @@ def tiles_opacity_above_one() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT013")
+@_tileset("GT013")
 def tiles_subtree_short() -> FolderSketch:
     """Fixture: a tileset with a subtree that lacks its last bytes."""
     sketch = implicit_sketch()
@@ -246,7 +230,7 @@ def tiles_subtree_short() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT014")
+@_tileset("GT014")
 def tiles_leaf_lost() -> FolderSketch:
     """Fixture: a tileset that declares more splats than its leaves have."""
     sketch = explicit_sketch(record=False)
@@ -254,7 +238,7 @@ def tiles_leaf_lost() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT015")
+@_tileset("GT015")
 def tiles_file_changed() -> FolderSketch:
     """Fixture: a tileset with a file whose digest differs from the build record."""
     sketch = explicit_sketch()
@@ -263,13 +247,13 @@ def tiles_file_changed() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT016")
+@_tileset("GT016")
 def tiles_too_many_splats() -> FolderSketch:
     """Fixture: a tileset with a tile of 262,145 equal splats."""
     return explicit_sketch(leaf_rows=262_145)
 
 
-@_register_example("GT017")
+@_tileset("GT017")
 def tiles_root_error_zero() -> FolderSketch:
     """Fixture: a tileset whose root has a geometric error of 0."""
     sketch = explicit_sketch()
@@ -277,7 +261,7 @@ def tiles_root_error_zero() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT018")
+@_tileset("GT018")
 def tiles_empty_leaf() -> FolderSketch:
     """Fixture: a tileset with a leaf without content."""
     sketch = explicit_sketch()
@@ -287,7 +271,7 @@ def tiles_empty_leaf() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT019")
+@_tileset("GT019")
 def tiles_draft_names() -> FolderSketch:
     """Fixture: a tileset whose contents use attribute names of a draft of the glTF extension."""
     sketch = explicit_sketch(codec="khr", record=False)
@@ -304,7 +288,7 @@ def tiles_draft_names() -> FolderSketch:
     return _tell_sizes(sketch)
 
 
-@_register_example("GT020")
+@_tileset("GT020")
 def tiles_neural_digest() -> FolderSketch:
     """Fixture: a tileset with an ONNX generator whose digest differs from the declared one."""
     sketch = _neural_sketch()
@@ -313,7 +297,7 @@ def tiles_neural_digest() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT021", level=Level.RENDER)
+@_tileset("GT021", level=Level.RENDER)
 def tiles_invisible_root() -> FolderSketch:
     """Fixture: a tileset whose root has opacities near 0."""
 
@@ -323,7 +307,7 @@ def tiles_invisible_root() -> FolderSketch:
     return explicit_sketch(edit_root=fade)
 
 
-@_register_example("GT022", level=Level.RENDER)
+@_tileset("GT022", level=Level.RENDER)
 def tiles_unlike_root() -> FolderSketch:
     """Fixture: a tileset whose root has splats ten times as large as those of other tiles."""
 
@@ -333,7 +317,7 @@ def tiles_unlike_root() -> FolderSketch:
     return explicit_sketch(edit_root=inflate_scales)
 
 
-@_register_example("GT023")
+@_tileset("GT023")
 def tiles_with_mesh() -> FolderSketch:
     """Fixture: a tileset with a leaf that has a triangle beside its splats."""
     sketch = explicit_sketch(record=False)
@@ -355,7 +339,7 @@ def tiles_with_mesh() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT024")
+@_tileset("GT024")
 def tiles_bytes_untold() -> FolderSketch:
     """Fixture: a tileset whose first leaf tells a byte less of its file than the file has."""
     sketch = explicit_sketch()
@@ -363,7 +347,7 @@ def tiles_bytes_untold() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT024")
+@_tileset("GT024")
 def tiles_quality_lost() -> FolderSketch:
     """Fixture: a tileset of three qualities without the coarsest file of a leaf."""
     sketch = explicit_sketch(qualities=(0, 2, 4), record=False)
@@ -371,7 +355,7 @@ def tiles_quality_lost() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT024")
+@_tileset("GT024")
 def tiles_files_swapped() -> FolderSketch:
     """Fixture: a tileset of two qualities with a leaf that names its files coarsest first."""
     sketch = explicit_sketch(qualities=(0, 4))
@@ -379,7 +363,7 @@ def tiles_files_swapped() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT024")
+@_tileset("GT024")
 def tiles_worth_in_percent() -> FolderSketch:
     """Fixture: a tileset with a leaf whose files are worth more than 1."""
     sketch = explicit_sketch(qualities=(0, 4))
@@ -387,7 +371,7 @@ def tiles_worth_in_percent() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT025")
+@_tileset("GT025")
 def tiles_error_of_one_quality() -> FolderSketch:
     """Fixture: a tileset of two qualities with a leaf that tells the error of one."""
     sketch = explicit_sketch(qualities=(0, 4))
@@ -395,7 +379,7 @@ def tiles_error_of_one_quality() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT025")
+@_tileset("GT025")
 def tiles_error_falls_with_quality() -> FolderSketch:
     """Fixture: a tileset with a leaf whose coarser file has the smaller error."""
     sketch = explicit_sketch(qualities=(0, 4))
@@ -403,7 +387,7 @@ def tiles_error_falls_with_quality() -> FolderSketch:
     return sketch
 
 
-@_register_example("GT025")
+@_tileset("GT025")
 def tiles_error_below_that_of_tile() -> FolderSketch:
     """Fixture: a tileset whose root is refined at a larger error than its file has."""
     sketch = explicit_sketch()

@@ -3,67 +3,19 @@
 __all__ = ["TILESET_RULES", "all_rules"]
 
 from functools import cache
+from typing import Final
 
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.rule import Registry, Rule, rules_in
 from gsgen.runtime.scene_checks.rules import SCENE_RULES
-from gsgen.tiles.validation.rules.contents import (
-    content_whole,
-    contents_hold_splats,
-    counts_agree,
-    extensions_required,
-    spz_version,
-)
-from gsgen.tiles.validation.rules.files import (
-    content_size,
-    draft_names,
-    errors_told,
-    hashes_match,
-    leaves_match_source,
-    no_empty_tiles,
-    qualities_told,
-)
-from gsgen.tiles.validation.rules.neural import neural_content
-from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
-from gsgen.tiles.validation.rules.structure import (
-    child_in_parent,
-    geometric_error_falls,
-    leaf_error,
-    subtree_bitstreams,
-    tileset_schema,
-    transform_similarity,
-    uri_stays,
-)
-from gsgen.tiles.validation.rules.values import children_cover, splats_in_box, values_valid
+from gsgen.tiles.validation.rules import contents, files, neural, pictures, structure, values
 
-TILESET_RULES = (
-    tileset_schema,
-    child_in_parent,
-    splats_in_box,
-    geometric_error_falls,
-    content_whole,
-    counts_agree,
-    extensions_required,
-    children_cover,
-    spz_version,
-    uri_stays,
-    transform_similarity,
-    values_valid,
-    subtree_bitstreams,
-    leaves_match_source,
-    hashes_match,
-    content_size,
-    leaf_error,
-    no_empty_tiles,
-    draft_names,
-    neural_content,
-    tile_visible,
-    levels_agree,
-    contents_hold_splats,
-    qualities_told,
-    errors_told,
+_FAMILIES: Final = (structure, contents, values, files, neural, pictures)
+
+TILESET_RULES: Final[tuple[Rule, ...]] = tuple(
+    sorted((rule for family in _FAMILIES for rule in rules_in(family)), key=lambda rule: rule.id)
 )
-"""All rules, in order of their ids; the entry point names this."""
+"""All rules, in order of their ids."""
 
 
 @cache
