@@ -109,7 +109,8 @@ def bench_known_paths(tmp_path: Path) -> None:
                 f"{name} at {network}: hits {result['hitRate']:.3f}, oracle {oracle.hit_rate:.3f}, "
                 f"reactive {reactive.hit_rate:.3f}; waste {result['waste']:.1%}, oracle "
                 f"{oracle.waste:.1%}; holes {result['holes']} of {result['frames']} frames, oracle "
-                f"{oracle.hole_frames}; missed tiles {json.dumps(result['misses'])}"
+                f"{oracle.hole_frames}; {result['statistics']['received'] / 1e6:.1f} MB, oracle "
+                f"{oracle.bytes / 1e6:.1f}; missed tiles {json.dumps(result['misses'])}"
             )
     hits, waste = np.mean(rows["page"]) / np.mean(rows["oracle"]), np.mean(rows["waste"])
     print_figure(
