@@ -143,9 +143,10 @@ def bench_memory_of_static_on_a_large_model(large: Path) -> None:
 
 
 def external_weights(path: Path, kind: str) -> float:
-    """Write a model of 480 MiB of external weights, used as ``kind`` says; return their megabytes."""
+    """Write a model of 30 or 90 external weights, used as ``kind`` says; return their megabytes."""
     model, size = find("drift").draw().build(), 2048
-    graph = model.graph
+    graph, is_half = model.graph, kind == "float16"
+    count = 90 if is_half else 30
     [last] = [node for node in graph.node if "color" in node.output]
     last.output[0] = "flat"
     values = {"ones": np.ones((1, size), np.float32), "tiny": np.float32([1e-3])}
@@ -154,11 +155,13 @@ def external_weights(path: Path, kind: str) -> float:
     nodes = ["moment = Reshape (time, shape)", "x0 = Mul (moment, ones)"]
     rng, offset = np.random.default_rng(0), 0
     with (path.parent / "weights.bin").open("wb") as file:
-        for index in range(30):
-            data = (rng.standard_normal((size, size), np.float32) / 50).tobytes()
+        for index in range(count):
+            weights = rng.standard_normal((size, size), np.float32) / 50
+            data = weights.astype(np.float16 if is_half else np.float32).tobytes()
             file.write(data)
             name, tensor = f"w{index}", graph.initializer.add()
-            tensor.name, tensor.data_type, tensor.data_location = name, 1, 1
+            tensor.name, tensor.data_type = name, 10 if is_half else 1
+            tensor.data_location = 1
             tensor.dims.extend([size, size])
             facts = {"location": "weights.bin", "offset": str(offset), "length": str(len(data))}
             for key, value in facts.items():
@@ -167,18 +170,21 @@ def external_weights(path: Path, kind: str) -> float:
             if kind == "transposed":
                 nodes.append(f"{name}t = Transpose <perm = [1, 0]> ({name})")
                 name += "t"
+            if is_half:
+                nodes.append(f"{name}f = Cast <to = 1> ({name})")
+                name += "f"
             if kind == "scaled":
                 nodes.append(f"{name}s = Mul ({name}, tiny)")
                 name += "s"
             nodes.append(f"x{index + 1} = MatMul (x{index}, {name})")
-    nodes += ["mean = ReduceMean <keepdims = 1> (x30)", "shade = Mul (mean, tiny)"]
+    nodes += [f"mean = ReduceMean <keepdims = 1> (x{count})", "shade = Mul (mean, tiny)"]
     nodes.append("color = Add (flat, shade)")
     graph.node.extend(onnx.parser.parse_node(node) for node in nodes)
     path.write_bytes(model.SerializeToString())
     return offset / 1e6
 
 
-@pytest.mark.parametrize("kind", ["plain", "transposed", "scaled"])
+@pytest.mark.parametrize("kind", ["plain", "transposed", "scaled", "float16"])
 def bench_memory_of_values_on_external_weights(tmp_path: Path, kind: str) -> None:
     weights = external_weights(tmp_path / "large.onnx", kind)
     peak = peak_megabytes("values", tmp_path / "large.onnx")

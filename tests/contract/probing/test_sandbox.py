@@ -460,11 +460,23 @@ look (float[1, 2] x) => (float[1, 2] y) <float[2, 2] w = {1, 2, 3, 4}> {
 """)
 
 
+FOLDED_HALVES = model("""
+look (float[1, 2] x) => (float[1, 2] y) {
+    wide = Cast <to = 1> (w)
+    turned = Transpose (wide)
+    y = MatMul (x, turned)
+}
+""")
+FOLDED_HALVES.graph.initializer.append(weight("w", np.float16([[1, 2], [3, 4]])))
+
+
+@pytest.mark.parametrize("proto", [FOLDED, FOLDED_HALVES], ids=["float32", "float16"])
 @pytest.mark.parametrize("maps_weights", [False, True])
-def test_mapped_weights_give_the_same_outputs(folder, maps_weights):
-    path = save(folder / "a.onnx", FOLDED)
+def test_mapped_weights_give_the_same_outputs(folder, proto, maps_weights):
+    path = save(folder / "a.onnx", proto)
     x = np.float32([[1, 2]])
-    with execute(path, ["y"], [probe(x=x)], Limits(), maps_weights=maps_weights) as execution:
+    facts = {"maps_weights": maps_weights, "has_float16_weights": proto is FOLDED_HALVES}
+    with execute(path, ["y"], [probe(x=x)], Limits(), **facts) as execution:
         np.testing.assert_array_equal(execution.samples[0].outputs["y"], [[5, 11]])
 
 

@@ -147,6 +147,7 @@ def execute(
     has_gpu: bool = False,
     trusted: bool = False,
     maps_weights: bool = False,
+    has_float16_weights: bool = False,
     **options: object,
 ) -> Iterator[Execution]:
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
@@ -164,6 +165,7 @@ def execute(
         has_gpu: Allow the worker the devices of GPUs.
         trusted: Do not confine the child, whose time alone is limited.
         maps_weights: Read weights from mapped files, without packed and folded copies.
+        has_float16_weights: Some weights are float16, which ONNX Runtime converts to float32.
         options: What that worker wants to know besides; anything that JSON can hold.
 
     A model that is unreadable, or whose external weights must not be read, is a fault of loading;
@@ -189,6 +191,7 @@ def execute(
         "trusted": trusted,
         "readable": [str(path) for path in readable],
         "maps_weights": maps_weights,
+        "has_float16_weights": has_float16_weights,
     }
     with temporary_folder() as folder:
         try:

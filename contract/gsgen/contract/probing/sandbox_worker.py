@@ -166,13 +166,19 @@ def _session(job: dict[str, Any], emit: EmitMessage, *, optimise: bool = True) -
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
-    if not optimise:
-        level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-        options.graph_optimization_level = level
+    # Threads that wait for work sleep: by spinning they would take as much time as the model does.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    levels = onnxruntime.GraphOptimizationLevel
     disabled_optimizers = []
     if job.get("maps_weights"):
         options.add_session_config_entry("session.disable_prepacking", "1")
         disabled_optimizers.append("ConstantFolding")
+        # Weights that are converted to float32 are so when they are used, one after another.
+        options.execution_order = onnxruntime.ExecutionOrder.PRIORITY_BASED
+        if job.get("has_float16_weights"):
+            options.graph_optimization_level = levels.ORT_ENABLE_BASIC  # others convert all at once
+    if not optimise:
+        options.graph_optimization_level = levels.ORT_DISABLE_ALL
     start_seconds = time.perf_counter()
     session = onnxruntime.InferenceSession(
         model_source(job["model"]),

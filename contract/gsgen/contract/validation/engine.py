@@ -189,6 +189,9 @@ class _Validation:
             cells=cells.name if cells else "",
             per_cell=cells.per_cell if cells else 0,
             maps_weights=maps_weights(self.subject),
+            has_float16_weights=any(
+                tensor.dtype == "float16" for tensor in self.subject.graph.initializers.values()
+            ),
         ) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
