@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.valid.companions import post_process, trajectory
-from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down, moments_of
+from gsgen.contract.probing.named_moments import FRAMES, moments_of
 from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.manifest import Input
 from support.models.small_models import manifest_of
@@ -40,20 +40,6 @@ def test_every_frame_number_is_run(frames):
     first = default_probes(manifest, shapes, {"frame": "int32"})
     probes = [p for name, p in moments_of(manifest, first, {}, 9) if name == FRAMES]
     assert [int(probe.inputs["frame"][0]) for probe in probes] == list(range(10, 75))
-
-
-@pytest.mark.parametrize("frames", [7, 24, 60, 120, 1000])
-@pytest.mark.parametrize("span", [(0.0, 1.0), (-1.0, 4.0)])
-def test_frames_that_float32_rounds_down_are_known(frames, span):
-    entry = Input(name="time", role="time", range=span, frames=frames)
-    low, high = np.float32(span)
-    for frame in range(frames):
-        time = np.float32(entry.time_of_frame(frame))
-        shown = {
-            int(np.floor((time - low) * np.float32(frames) / (high - low))),
-            int(np.floor((time - low) / (high - low) * np.float32(frames))),
-        }
-        assert is_frame_rounded_down(entry, frame) or shown == {frame}
 
 
 def test_the_defaults_are_those_of_the_manifest():

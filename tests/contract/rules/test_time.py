@@ -40,6 +40,31 @@ def rules_broken_by(model: ModelSpec, folder: Path) -> list[str]:
     return [finding.rule for finding in findings if finding.severity is not Severity.INFO]
 
 
+# Ways to round time down to 72 frames of 2.4 seconds, and whether float32 shows the one before.
+ROUNDED = {
+    "share · frames": ("share = Div (time, span) low = Mul (share, frames)", True),
+    "time / length": ("low = Div (time, length)", True),
+    "and a thousandth": (
+        "share = Div (time, span) many = Mul (share, frames) low = Add (many, milli)", False,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ROUNDED)
+def test_frames_show_themselves_where_they_begin(name: str, tmp_path: Path) -> None:
+    nodes, is_late = ROUNDED[name]
+    time = Input(name="time", role="time", range=(0.0, 2.4), default=0.0, frames=72)
+    body = (
+        f"{nodes} full = Floor (low) kept = Min (full, last) row = Cast <to = 7> (kept) "
+        "shift = Gather <axis = 0> (table, row)"
+    )
+    table = np.linspace(-0.5, 0.5, 72, dtype=np.float32)[:, None].repeat(3, axis=1)
+    numbers = {"frames": 72, "last": 71, "span": 2.4, "length": 2.4 / 72, "milli": 1e-3}
+    weights = {key: np.array([value], np.float32) for key, value in numbers.items()}
+    model = input_driven_model("float[1] time", time, body).with_weights(table=table, **weights)
+    assert rules_broken_by(model, tmp_path)[:1] == (["GB069"] if is_late else [])
+
+
 @pytest.mark.parametrize("name", STEPPED)
 def test_frames_of_a_table_begin_and_follow_as_declared(name: str, tmp_path: Path) -> None:
     nodes, rule = STEPPED[name]

@@ -4,7 +4,7 @@ A declared default is what every viewer shows first, t(k) is when a frame begins
 from above, and pictures have black pixels. Rules of single runs hold at each of these moments.
 """
 
-__all__ = ["FRAMES", "OPEN_SIZES", "PICTURES", "NamedMoment", "is_frame_rounded_down", "moments_of"]
+__all__ = ["FRAMES", "OPEN_SIZES", "PICTURES", "NamedMoment", "moments_of"]
 
 import math
 from collections.abc import Iterator
@@ -132,23 +132,6 @@ def _frame_moments(entry: Input, base: Probe) -> Iterator[Probe]:
         value = number if is_number else entry.time_of_frame(frame)
         array = cast_array(np.full(template.shape, float(value)), template.dtype.name)
         yield _moment(f"frame {number}", base, {entry.name: array})
-
-
-def is_frame_rounded_down(entry: Input, frame: int) -> bool:
-    """Return whether float32 may place the beginning of a frame into the frame before it.
-
-    True if the nearest float32 number is below t(k), or if its quotient by the length of a frame is
-    below k in float32: a model that rounds down as exactly as float32 allows shows frame k − 1.
-    """
-    if entry.role != "time" or entry.range is None or entry.frames is None:
-        return False
-    low, high = entry.range
-    offset = np.float32(entry.time_of_frame(frame)) - np.float32(low)
-    span = np.float32(high) - np.float32(low)
-    product = float(offset) * entry.frames / float(span)
-    quotients = (offset * np.float32(entry.frames) / span, offset / span * np.float32(entry.frames),
-                 offset / (span / np.float32(entry.frames)))  # fmt: skip
-    return product < frame or any(float(quotient) < frame for quotient in quotients)
 
 
 def _screen_moments(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:

@@ -174,18 +174,12 @@ def _where(behaviour: Behaviour) -> str:
 
 
 def _frame_runs(behaviour: Behaviour) -> list[ProbeRun]:
-    """Return the runs at the beginning of each frame, except where rounding may give the one before."""
-    from gsgen.contract.probing.named_moments import FRAMES, is_frame_rounded_down
+    """Return the runs at the beginning of each declared frame."""
+    from gsgen.contract.probing.named_moments import FRAMES
 
     entry = _clock(behaviour)
-    return [
-        run
-        for frame, run in enumerate(behaviour.trial_runs(FRAMES))
-        if entry is not None
-        and entry.frames
-        and run.digest
-        and not is_frame_rounded_down(entry, frame)
-    ]
+    has_frames = entry is not None and entry.frames
+    return [run for run in behaviour.trial_runs(FRAMES) if has_frames and run.digest]
 
 
 @rule("GB006", Severity.WARNING, needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040", "GB069"))
@@ -197,8 +191,8 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         numbering from 1 shows the last frame first.
 
     Hint:
-        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1; number frames
-        from 0. If the scene stands still for a while, ignore this rule.
+        Take frame floor(time · frames + 0.001), clamped to the last, for a time from 0 to 1; number
+        frames from 0. If the scene stands still for a while, ignore this rule.
     """
     yield from _empty_frames(behaviour)
     yield from _breaks_of_order(behaviour)
@@ -272,11 +266,12 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
     Why:
         Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
         the nearest, come too early by up to half of a frame, and the last one never, or too short.
-        A clock stops at the high end.
+        Without the thousandth, float32 shows the frame before at many beginnings: a film of frames
+        shows one twice and misses the next. A clock stops at the high end.
 
     Hint:
-        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1: neither Round,
-        nor frames − 1, nor Mod.
+        Take frame floor(time · frames + 0.001), clamped to the last, for a time from 0 to 1: neither
+        Round, nor frames − 1, nor Mod.
     """
     digests = [run.digest for run in behaviour.trial_runs(STEPS)]
     count = len(STEP_OFFSETS)
@@ -295,15 +290,56 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
     # What rests in the middle of its motion stands still there, too, but does not step.
     is_stepped = changes[count - 1] and not any(map(any, within))
     is_stepped = is_stepped and not any(_breaks_of_order(behaviour))
+    if is_stepped:
+        yield from _late_beginnings(behaviour)
     if is_stepped and last and ends and ends[0].digest != last[0].digest:
         first = [run.digest for run in _frame_runs(behaviour)[:1]]
         words = "frame 0" if first == [ends[0].digest] else "another one"
         actual = f"the high end of the time shows {words}, and not the last frame"
         hint = (
-            "Clamp the frame's number to the last, min(floor(time · frames), frames − 1): no Mod. "
+            "Clamp the frame's number to the last, min(floor(time · frames + 0.001), frames − 1). "
             'Where frame 0 follows the last one, declare "loop": true instead.'
         )
         yield Violation.at("role time", actual, "the last frame, without loop", hint=hint)
+
+
+def _late_beginnings(behaviour: Behaviour) -> Iterator[Violation]:
+    """Yield a violation if frames show the one before at the very number where they begin."""
+    from gsgen.contract.probing.named_moments import FRAMES
+
+    entry = _clock(behaviour)
+    if entry is None or entry.role != "time":
+        return
+
+    def frames_of(group: str) -> Iterator[tuple[int, float, str]]:
+        for run in behaviour.trial_runs(group):
+            time = float(run.probe.inputs[entry.name].flat[0])
+            yield entry.frame_at(time), time, run.digest
+
+    # What frames show is known where a run lies within them.
+    shown = {
+        frame: digest
+        for group in (STEPS, ORDER, "within frames")
+        for frame, _, digest in frames_of(group)
+    }
+    beginnings = [
+        begin
+        for begin in frames_of(FRAMES)
+        if len({shown.get(begin[0] - k) for k in (0, 1)} - {None}) == 2
+    ]
+    late = [(frame, time) for frame, time, digest in beginnings if digest == shown[frame - 1]]
+    if late:
+        frame, time = late[0]
+        actual = (
+            f"{len(late)} of {len(beginnings)} frames show the one before where they begin, frame "
+            f"{frame} first, at {time:.9g}: rounded down in float32"
+        )
+        yield Violation.at(
+            "role time",
+            actual,
+            "frame k from t(k) on",
+            hint="Add 0.001 frames before you round down: floor(frames · (t − a) / (b − a) + 0.001).",
+        )
 
 
 @rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GI006"))

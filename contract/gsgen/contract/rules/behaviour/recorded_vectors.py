@@ -93,7 +93,7 @@ def _vector_outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation
 
 @rule(
     "GM037",
-    Severity.WARNING,
+    Severity.ERROR,
     needs=(*REPRODUCIBLE, *COLORED_ROW_RULES, *FINITE_OUTPUTS, *MANIFEST_PARSED),
 )
 def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:

@@ -72,7 +72,7 @@ def _field_names(value: Any) -> Iterator[str]:
             yield from _field_names(part)
 
 
-@rule("GM031", Severity.WARNING, kinds=MANIFEST_KINDS, needs=("GM030",))
+@rule("GM031", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GM030",))
 def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     """Every required manifest extension is registered.
 
