@@ -192,7 +192,7 @@ rule('GM030', 'error', {kinds: ALL}, (m) => { // E2.3
   const alone = (m.manifest.extensions_required ?? []).find((name) => !used.includes(name));
   return alone && `${alone} is required, but not used`;
 });
-rule('GM031', 'warning', {kinds: ALL, needs: ['GM030']}, (m) => { // E3.3, E4: none is registered
+rule('GM031', 'error', {kinds: ALL, needs: ['GM030']}, (m) => { // E3.3, E4: none is registered
   const required = m.manifest.extensions_required ?? [];
   return required.length ? `${required[0]} is not registered` : undefined;
 });
