@@ -258,7 +258,7 @@ MISTAKES = (
     Mistake("avatar", "degrees", "GI018", "Divide degrees by 180"),
     Mistake("avatar", "colours of bytes", "GV012", "Divide by 255"),
     Mistake("4D", "a time of the trace", "GM004", "export without detaching it"),
-    Mistake("4D", "frames that never come", "GB069", "floor(time · frames)"),
+    Mistake("4D", "frames that never come", "GB069", "floor(time · frames + 0.001)"),
     Mistake("4D", "a loop that does not close", "GB004", "loop"),
     Mistake("4D", "noise of the training", "GG010", "Draw the numbers before export"),
     Mistake("4D", "bounds of the first moment", "GV021", "Measure bounds over all times"),
