@@ -125,8 +125,8 @@ def test_outputs_are_told_from_inputs() -> None:
     } - OUTPUT_PARAMETERS
     assert inputs == {
         "baseline", "body", "cameras", "checkpoint", "config", "difix", "embeddings", "file",
-        "first", "flame", "flame_ids", "frames", "kit", "manifest", "model", "models", "motion", "network",
-        "neural", "ort", "path", "paths", "post", "scene", "scenes", "second", "source", "style",
+        "captions", "first", "flame", "flame_ids", "frames", "kit", "manifest", "model", "models", "motion",
+        "network", "neural", "ort", "path", "paths", "post", "scene", "scenes", "second", "sound", "source", "style",
         "three", "transform", "vae", "xfails",
     }  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import wave
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,33 @@ def test_a_segment_above_the_capacity_is_named(folder: Path) -> None:
         open_scene(folder / "small.json")
 
 
+def test_sound_and_captions_are_copied_and_the_scene_file_is_checked(folder: Path) -> None:
+    with wave.open(str(folder / "speech.wav"), "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes(bytes(4 * 8000))
+    (folder / "speech.vtt").write_text("WEBVTT\n\n00:00.000 --> 00:00.800\nIt bends.\n")
+    scene, copies = folder / "spoken.json", folder / "spoken"
+    files = {"--sound": folder / "speech.wav", "--captions": folder / "speech.vtt"}
+    for left_out, message in (("--sound", "--captions: is without --sound"), ("", "is no file")):
+        given = {option: file for option, file in files.items() if option != left_out}
+        given |= {} if left_out else {"--captions": folder / "none.vtt"}
+        words = [str(word) for pair in given.items() for word in pair]
+        ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(scene), *words)
+        assert (ran.code, copies.exists()) == (2, False)
+        assert message in ran.err
+    words = [str(word) for pair in files.items() for word in pair]
+    ran = gsgen_here(
+        "export", "sequence", str(folder / "frames"), "-o", str(scene), *OPTIONS, *words
+    )
+    assert ran.code == 0, ran.err
+    sound = json.loads(scene.read_text())["sound"]
+    assert sound == {"path": "spoken/speech.wav", "captions": "spoken/speech.vtt"}
+    assert (copies / "speech.wav").read_bytes() == (folder / "speech.wav").read_bytes()
+    assert (copies / "speech.vtt").read_bytes() == (folder / "speech.vtt").read_bytes()
+    assert "GC007" in ran.out  # the recording lasts 2 seconds, the frames 0.9
+    assert "ends at 2 s" in ran.out
+
+
 @pytest.mark.parametrize(
     ("option", "value"), [("--segment", "0.5"), ("--engine", "serial"), ("--workers", "2")]
 )
@@ -169,7 +197,7 @@ def test_options_of_segments_need_a_scene_file(folder: Path, option: str, value:
         *("export", "sequence", str(folder / "frames"), "-o", str(model)), option, value
     )
     assert ran.code == 2
-    assert f"{option}: {value} is for segments, which a scene file has, not one.onnx" in ran.err
+    assert f"{option}: {value} is for a scene file of segments, not one.onnx" in ran.err
     assert "one.json" in ran.err
     assert not model.exists()
 

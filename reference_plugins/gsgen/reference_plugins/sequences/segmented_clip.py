@@ -38,6 +38,7 @@ from gsgen.formats.shared.splats import NO_ORIGIN
 from gsgen.reference_plugins.sequences.clip_loss import measure_loss
 from gsgen.reference_plugins.sequences.frame_files import FrameFiles
 from gsgen.reference_plugins.static.static import StaticScene
+from gsgen.runtime.scene_checks.validate import validate_scene
 from gsgen.runtime.sources.key_frames import DEFAULT_FPS
 from gsgen.sdk.exporting.pipeline import (
     Exported,
@@ -69,6 +70,8 @@ class ClipExport(GraphSource):
         clip: Options of the clip, of whose frames ``names`` and ``read`` are set here.
         moments: How many moments are drawn and compared; 0 for none.
         seconds: The length of a segment; 2 where absent.
+        sound: A recording that plays from the start; a copy of it belongs to the segments.
+        captions: WebVTT captions of the recording.
         engine: Runs the exports of segments: serial (the default), processes, dask or dask=ADDRESS.
         workers: Processes; as many as there are processor cores where absent.
     """
@@ -77,6 +80,8 @@ class ClipExport(GraphSource):
     clip: ClipSource
     moments: int
     seconds: float | None
+    sound: Path | None
+    captions: Path | None
     engine: str | None
     workers: int | None
 
@@ -90,12 +95,14 @@ class ClipExport(GraphSource):
         if path.suffix.lower() != _SCENE_SUFFIX:
             of_segments = {
                 "--segment": self.seconds,
+                "--sound": self.sound,
+                "--captions": self.captions,
                 "--engine": self.engine,
                 "--workers": self.workers,
             }
             for option, value in of_segments.items():
                 if value is not None:
-                    message = f"{value} is for segments, which a scene file has, not {path.name}"
+                    message = f"{value} is for a scene file of segments, not {path.name}"
                     hint = f"Write -o {path.with_suffix(_SCENE_SUFFIX)}, or leave the option out."
                     raise ConfigInvalid(message, where=option, hint=hint)
             return self.part(range(len(self.files.paths)), joined=False).export(path, **options)
@@ -148,6 +155,7 @@ class ClipExport(GraphSource):
         folder = path.with_suffix("")
         name = options.pop("name") or path.stem
         _require_own_folder(folder, path, self.files.paths)
+        sound = self._sound(folder)
         (folder / _DRAFTS).mkdir(parents=True, exist_ok=True)
         tasks = list(self._tasks(folder, {**options, "name": name}))
         records: dict[int, dict[str, Any]] = {}
@@ -171,16 +179,43 @@ class ClipExport(GraphSource):
             ],
             "timeline": {"seconds": sum(frames.values()) / fps, "fps": fps, "loop": self.clip.loop},
         }
+        if sound:
+            document["sound"] = {name: f"{folder.name}/{file.name}" for name, file in sound.items()}
         files = [folder / file for file in frames]
         path.unlink(missing_ok=True)  # until all of its files are there
         for record in segments:
             for file in record["files"]:
                 os.replace(folder / _DRAFTS / record["folder"] / file, folder / file)
+        for file in sound.values():
+            if not file.parent.samefile(folder):
+                with atomic_write(folder / file.name) as draft:
+                    shutil.copyfile(file, draft)
         with atomic_write(path) as draft:
             draft.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
         _remove_others(folder, files)
         manifest, report = self._check(files, name, progress, options)
+        progress("checking the scene file")
+        scene = validate_scene(path, options["settings"])
+        report = replace(
+            report,
+            findings=(*report.findings, *scene.findings),
+            outcomes=(*report.outcomes, *scene.outcomes),
+        )
         return _result(path, files, segments, manifest, report)
+
+    def _sound(self, folder: Path) -> dict[str, Path]:
+        """Return the files of the scene's sound by their fields."""
+        if self.captions is not None and self.sound is None:
+            hint = "Give the recording: --sound FILE."
+            raise ConfigInvalid("is without --sound", where="--captions", hint=hint)
+        named = {"path": self.sound, "captions": self.captions}
+        sound = {name: file for name, file in named.items() if file is not None}
+        for option, file in zip(("--sound", "--captions"), sound.values(), strict=False):
+            if not file.is_file():
+                raise ConfigInvalid("is no file", where=f"{option} {file}")
+            if _SEGMENT_NAME.fullmatch(file.name):
+                raise ConfigInvalid("is named as a segment", where=f"{option} {file}")
+        return sound
 
     def _check(
         self, files: Sequence[Path], name: str, progress: Progress, options: Mapping[str, Any]

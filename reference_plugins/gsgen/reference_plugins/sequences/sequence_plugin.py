@@ -62,6 +62,15 @@ def build(
             min=0.01,
         ),
     ] = None,
+    sound: Annotated[
+        Path | None,
+        typer.Option(
+            help="Recording that plays with a scene file, from its start.", show_default=False
+        ),
+    ] = None,
+    captions: Annotated[
+        Path | None, typer.Option(help="WebVTT captions of --sound.", show_default=False)
+    ] = None,
     engine: Annotated[
         str | None,
         typer.Option(
@@ -98,7 +107,14 @@ def build(
         max_bytes=max_bytes,
     )
     return ClipExport(
-        files=files, clip=clip, moments=moments, seconds=segment, engine=engine, workers=workers
+        files=files,
+        clip=clip,
+        moments=moments,
+        seconds=segment,
+        sound=sound,
+        captions=captions,
+        engine=engine,
+        workers=workers,
     )
 
 
