@@ -128,6 +128,15 @@ def _printable_errors() -> Iterator[None]:
         raise
 
 
+def _name_whole_option(error: Any, typed_args: list[str]) -> None:
+    """Name an unknown option such as ``-ss`` as it was typed: click takes it for the letter ``-s``."""
+    option = str(getattr(error, "option_name", ""))
+    if len(option) == 2 and option not in typed_args:
+        words = [word for word in typed_args if word.startswith(option) and word[1:].isidentifier()]
+        for word in words[:1]:
+            error.option_name, error.message = word, f"No such option: {word}"
+
+
 def _name_arguments(error: Any) -> None:
     """Append the arguments of the command to an error about one too many."""
     names = [
@@ -296,6 +305,7 @@ class _OrderedCommand(TyperCommand):
         except Exception as error:
             if getattr(error, "ctx", ctx) is None:
                 error.ctx = ctx  # type: ignore[attr-defined]  # for explain_option
+            _name_whole_option(error, typed_args)
             raise
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
@@ -389,18 +399,30 @@ def _number_hint(message: str, parameter: Any) -> str:
 
 def _unknown_command(typed_words: list[str], commands: list[str], group: str = "") -> UnknownName:
     """Return the error for an unknown command: its hint is the call that was meant."""
+    from gsgen.cli.option_words import edit_meant
+
     name, *arguments = typed_words
     listing = "`gsgen --help` lists the commands."
     error = UnknownName.among("command", name, commands, listing=listing)
     word = for_shell(name)
-    if calls := calls_meant(name, arguments, group):
+    calls = calls_meant(name, arguments, group)
+    edit = "" if group or calls not in ([], ["convert"]) else edit_meant(name, arguments)
+    if edit:
+        error.hint = f"Did you mean `{edit}`?"
+    elif calls:
         texts = [_call_text(call, arguments) for call in calls]
         error.hint = f"Did you mean {' or '.join(texts)}?"
     elif advice := advice_on(name):
         error.hint = advice
     elif _RULE_ID.fullmatch(name.upper()):
         error.hint = f"Did you mean `gsgen explain {name.upper()}`?"
+    elif os.path.exists(name) and group == "tiles":
+        from gsgen.formats.tileset_paths import names_tileset
+
+        call = "tiles info" if names_tileset(name) else "tiles build"
+        error.hint = f"Did you mean {_call_text(call, typed_words)}?"
     elif os.path.exists(name):
+        from gsgen.cli.output_hints import command_that_writes
         from gsgen.formats.inputs import training_folder
 
         is_model_path = name.endswith((".onnx", ".json")) or (
@@ -410,6 +432,9 @@ def _unknown_command(typed_words: list[str], commands: list[str], group: str = "
         error.hint = (
             f"To validate it, type `gsgen validate {word}`." if is_model_path else draw_hint
         )
+        outputs = [entry for entry in arguments if not entry.startswith("-")]
+        if outputs and (call := command_that_writes(Path(outputs[-1]), [name, *outputs[:-1]])):
+            error.hint = f"Did you mean `{call}`?"
     return error
 
 

@@ -42,6 +42,7 @@ _ADVICE: Final = {
     "`gsgen references` declares pictures of a model, `gsgen validate --level render` compares.": (
         "psnr ssim lpips metrics eval ns-eval evaluate score"
     ),
+    "Files are read as they are: `gsgen render FILE` draws one.": "import load read ingest",
     "gsgen draws meshes, and makes none of splats.": "mesh extract-mesh marching-cubes tsdf poisson",
     "Settings stand in gsgen.toml, or in [tool.gsgen] of pyproject.toml.": "config set-config settings",
 }
@@ -150,7 +151,7 @@ PANELS: Final[dict[str, tuple[Command, ...]]] = {
             "inspect",
             "Show a model's inputs, outputs and manifest; its weights are not read.",
             "checking.inspect:inspect",
-            "info show describe summary summarize stats statistics netron print cat manifest metadata dump head shape shapes infer-shapes opset count tree",
+            "info probe ffprobe mediainfo identify graph nodes bounds bbox extent show describe summary summarize stats statistics netron print cat manifest metadata dump head shape shapes infer-shapes opset count tree",
         ),
         _make_command(
             "conformance",

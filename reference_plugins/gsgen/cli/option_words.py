@@ -1,9 +1,12 @@
 """What people mean by options that a command does not have, by meaning, not by letters."""
 
-__all__ = ["explain_option"]
+__all__ = ["edit_meant", "explain_option"]
 
+import re
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any, Final
 
 from gsgen.contract.errors import names_meant
@@ -20,6 +23,7 @@ _OPTION_WORDS: Final = {
     "--camera": "cam cameras camera-path camera-path-filename trajectory view viewpoint eye position",
     "--camera FILE#NUMBER": "camera-idx camera-index camera-id cam-idx view-index index idx",
     "--camera look-at:EX,EY,EZ,TX,TY,TZ": "lookat look-at target",
+    "--camera orbit --frames 90": "turntable",
     "--camera orbit:AZIMUTH,ELEVATION,RADIUS": "azimuth elevation distance radius zoom dist orbit pitch yaw roll theta phi",
     "--checkpoint": "ckpt ckpt-path model-path load-config weights m checkpoint-path",
     "--codec": "format compress compression draco",
@@ -45,6 +49,7 @@ _OPTION_WORDS: Final = {
     "--fps": "framerate frame-rate rate r",
     "--frames": "n num-frames n-frames frame-count iterations iters runs repeat repeats",
     "--height": "h",
+    "--host": "bind address listen ip",
     "--ignore": "skip exclude disable except suppress no-rule",
     "--input NAME=VALUE": "set param params parameter var feed",
     "--input time=FROM..TO": "time-range time-start start end ss",
@@ -75,22 +80,23 @@ _OPTION_WORDS: Final = {
     "--provider cpu": "cpu use-cpu no-gpu",
     "--provider cuda": "cuda gpu",
     "--provider webgpu": "gpu use-gpu wgpu",
+    "--rasteriser": "E engine renderer rasterizer",
     "--rotate": "r rotation flip transform matrix z-up y-up up swap-yz up-axis",
     "--scale": "s resize factor transform matrix",
-    "--sh-degree": "H sh sh-degrees degree harmonics filter-harmonics max-sh-degree bands sh-bands",
-    "--size": "resolution res s image-size img-size geometry dimensions overwrite-input-shape "
+    "--sh-degree": "H sh sh-degrees degree harmonics filter-harmonics filter-bands max-sh-degree bands sh-bands",
+    "--size": "resolution res s vf image-size img-size geometry dimensions overwrite-input-shape "
     "input-shape shape",
     "--sphere": "S filter-sphere crop-sphere",
     "--statistics": "stats summary info m",
     "--stereo": "vr sbs side-by-side",
     "--target": "t runtime consumer",
     "--target webgpu": "browser web webgpu",
-    "--time": "t timestep frame frames fps",
+    "--time": "t ss timestep frame frames fps",
     "--timeout": "time-limit",
     "--tolerance": "atol rtol tol eps threshold",
     "--translate": "t move offset shift center recenter centre transform matrix",
     "--trust": "unsafe no-sandbox",
-    "--turn": "spin turntable",
+    "--turn": "spin",
     "--up": "up-axis axis vertical-axis z-up y-up",
     "--verbose": "debug v vv",
     "--web": "browser http page open",
@@ -102,6 +108,21 @@ _OPTION_WORDS: Final = {
 
 A capital letter is an option of its own.
 """
+
+_EDITS: Final = {
+    "--box": "X,Y,Z,X,Y,Z",
+    "--decimate": "N%",
+    "--drop-floaters": "SIZE,COUNT",
+    "--morton": "",
+    "--rotate": "X,Y,Z",
+    "--scale": "FACTOR",
+    "--sphere": "X,Y,Z,RADIUS",
+    "--translate": "X,Y,Z",
+    "--where": "CONDITION",
+}
+"""Option of `gsgen convert` that edits splats → what it takes."""
+
+_VALUE: Final = re.compile(r"[-+\d.,%]+")
 
 _ADVICE: Final = {
     "A video of 5 s has --frames 125 --fps 25.": "duration seconds length t",
@@ -122,7 +143,7 @@ _ADVICE: Final = {
     "`gsgen rules` lists the rules.": "list-rules",
     "`gsgen rules WORD` lists the rules that have a word.": "grep category search find query",
     "A video is AV1 in .mp4, which ffmpeg converts to other codecs.": (
-        "c codec vcodec crf bitrate pix-fmt preset vf"
+        "c codec vcodec crf bitrate pix-fmt preset"
     ),
     "A .gif repeats by itself, and a player repeats an .mp4.": "loop repeat",
     "A copy is written, never the input: give -o FILE.": "i in-place inplace backup",
@@ -151,6 +172,9 @@ _ADVICE: Final = {
         "show preview display interactive gui window open fullscreen"
     ),
     "`gsgen export html` writes a page to share.": "share public publish upload",
+    "`gsgen view --web` serves this machine alone; `gsgen export html` writes a page for others.": (
+        "host bind address listen ip"
+    ),
     "The page is one file that needs no network: leave it out.": (
         "single-file inline offline self-contained standalone embed"
     ),
@@ -179,7 +203,7 @@ def explain_option(error: Any, commands_with: Callable[[str], Sequence[str]]) ->
     near = [f"Did you mean {' or '.join(near_options)}?"] if near_options else []
     advice = _output_advice(typed, command) or names_meant(typed, _ADVICE)[:1]
     is_letter = len(typed.lstrip("-")) == 1
-    hints = near if here else near + advice if is_letter else advice or near
+    hints = near if here else advice + near if is_letter else advice or near
     option = (meant[0] if meant else typed).split()[0]
     if not hints and not is_letter and (names := commands_with(option)):
         calls = ", ".join(f"`gsgen {name}`" for name in names)
@@ -187,6 +211,25 @@ def explain_option(error: Any, commands_with: Callable[[str], Sequence[str]]) ->
     hint = " ".join(hints or [_LISTING]).replace("{command}", error.ctx.command_path)
     error.message = f"{error.message}. {hint}"
     error.possibilities = []
+
+
+def edit_meant(word: str, arguments: Sequence[str]) -> str:
+    """Return the call of `gsgen convert` that edits splats as a verb says; empty for other words.
+
+    Args:
+        word: The verb, such as ``crop``.
+        arguments: What was typed after it: files, and perhaps the numbers of the edit.
+    """
+    words = {option: _OPTION_WORDS.get(option, "") for option in _EDITS}
+    options = names_meant(word, words)
+    if len(options) != 1:
+        return ""
+    values = [entry for entry in arguments if _VALUE.fullmatch(entry)]
+    files = [entry for entry in arguments if entry not in values and not entry.startswith("-")]
+    target = files[1:] or [f"edited{''.join(Path(files[0]).suffixes)}" if files else "TARGET"]
+    value = ",".join(values) or _EDITS[options[0]]
+    call = ["gsgen", "convert", *(files[:1] or ["SOURCE"]), *target, options[0]]
+    return shlex.join([*call, value] if value else call)
 
 
 def _meant_options(typed: str) -> list[str]:
@@ -210,7 +253,11 @@ def _near_options(typed: str, own_options: Sequence[str]) -> list[str]:
     near = [
         option
         for option, ratio in ratio_by_option.items()
-        if (option[2] == word if len(word) == 1 else _shares_word(word, option[2:]) or ratio > 0.75)
+        if (
+            option[2] == typed.lstrip("-")
+            if len(word) == 1
+            else _shares_word(word, option[2:]) or ratio > 0.75
+        )
     ]
     return sorted(near, key=ratio_by_option.__getitem__, reverse=True)[:3]
 

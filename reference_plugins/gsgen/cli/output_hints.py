@@ -28,7 +28,12 @@ def output_hint(command: str, words: Sequence[str], values: Mapping[str, Any]) -
     if command not in _OUTPUT_SUFFIXES or not files:
         return ""
     suffix, output_suffixes = _OUTPUT_SUFFIXES[command]
-    last_file, remaining_words = files[-1], list(words)
+    remaining_words = list(words)
+    if any(Path(file).exists() for file in files):  # words such as "interpolate" name none
+        strays = [file for file in files if file.isalpha() and not Path(file).exists()]
+        files = [file for file in files if file not in strays]
+        remaining_words = [word for word in words if word not in strays]
+    last_file = files[-1]
     is_output = len(files) > 1 and Path(last_file).suffix.lower() in output_suffixes
     if is_output and not Path(last_file).exists():
         remaining_words.remove(last_file)

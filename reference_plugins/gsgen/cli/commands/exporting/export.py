@@ -95,8 +95,12 @@ def _unknown_target_error(word: str, plugins: list[str], typed_words: list[str])
     path = Path(word)
     module, _, name = word.rpartition(".")
     option = next((flag for flag in ("-o", "--output") if flag in typed_words[:-1]), "")
-    output = Path(typed_words[typed_words.index(option) + 1]) if option else Path("model.onnx")
     is_source = path.exists() or codec_of_suffix(path)
+    output = Path("model.onnx")
+    if option:
+        output = Path(typed_words[typed_words.index(option) + 1])
+    elif typed_words[1:] and not is_source:  # perhaps a format, as in `gsgen export spz a.ply`
+        output = Path(f"{Path(typed_words[1]).stem}.{word.replace('-', '.')}")
     call = command_that_writes(output, [word] if is_source else typed_words[1:2])
     if call and output.suffix.lower() != MODEL_SUFFIX:
         hint = f"`{call}` writes such a file."
