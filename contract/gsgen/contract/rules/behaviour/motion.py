@@ -265,9 +265,8 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
 
     Why:
         Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
-        the nearest, come too early by up to half of a frame, and the last one never, or too short.
-        Without the thousandth, float32 shows the frame before at many beginnings: a film of frames
-        shows one twice and misses the next. A clock stops at the high end.
+        the nearest, come too early, and the last one never, or too short. Without 0.001, float32
+        may show the frame before. A clock stops at the high end.
 
     Hint:
         Take frame floor(time · frames + 0.001), clamped to the last, for a time from 0 to 1: neither
