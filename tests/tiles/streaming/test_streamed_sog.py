@@ -58,6 +58,18 @@ def test_a_complete_cut_is_the_picture_of_all_splats(town: Path) -> None:
     source.close()
 
 
+def stream_all(address: str, cache_folder: Path) -> None:
+    """Stream until a camera has all that it needs, in a session of its own."""
+    options = SessionOptions(max_error=0.01, cache_folder=cache_folder)
+    session = open_session(f"{address}lod-meta.json", options)
+    frame = session.frame(Frustum.from_camera(VIEW))
+    while not frame.is_complete:
+        session.wait(0.05)
+        frame = session.frame(Frustum.from_camera(VIEW))
+    session.close()
+    assert frame.missing == 0
+
+
 def test_a_server_is_asked_for_each_file_once(
     town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,17 +83,10 @@ def test_a_server_is_asked_for_each_file_once(
         return read(store, path, **rest)
 
     monkeypatch.setattr(HttpStore, "read", count)
-    options = SessionOptions(max_error=0.01, cache_folder=tmp_path / "cache")
     counts = []
     with served(town) as address:
         for _ in range(2):
-            session = open_session(f"{address}lod-meta.json", options)
-            frame = session.frame(Frustum.from_camera(VIEW))
-            while not frame.is_complete:
-                session.wait(0.05)
-                frame = session.frame(Frustum.from_camera(VIEW))
-            session.close()
-            assert frame.missing == 0
+            stream_all(address, tmp_path / "cache")
             counts.append(len(asked))
     assert len(asked) == len(set(asked))
     assert any(path.endswith(".webp") for path in asked)
@@ -109,17 +114,10 @@ def test_files_without_a_digest_are_kept_while_their_server_has_the_same(
         return data, validator
 
     monkeypatch.setattr(HttpStore, "read_version", count)
-    options = SessionOptions(max_error=0.01, cache_folder=tmp_path / "cache")
     counts = []
     with served(folder) as address:
         for _ in range(3):
-            session = open_session(f"{address}lod-meta.json", options)
-            frame = session.frame(Frustum.from_camera(VIEW))
-            while not frame.is_complete:
-                session.wait(0.05)
-                frame = session.frame(Frustum.from_camera(VIEW))
-            session.close()
-            assert frame.missing == 0
+            stream_all(address, tmp_path / "cache")
             counts.append(len(sent))
             if len(counts) == 2:
                 os.utime(folder / sent[0], (0, 0))  # another version, as far as the server tells
