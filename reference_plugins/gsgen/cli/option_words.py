@@ -28,7 +28,7 @@ _OPTION_WORDS: Final = {
     "--checkpoint": "ckpt ckpt-path model-path load-config weights m checkpoint-path",
     "--codec": "format compress compression draco",
     "--count": "n views num",
-    "--decimate": "F max-splats max-gaussians target-count reduce simplify n filter-decimate percent "
+    "--decimate": "F max-splats max-points max-gaussians target-count reduce simplify n filter-decimate percent "
     "sample subsample downsample voxel-size ratio lod keep",
     "--drop-floaters": "G remove-floaters filter-floaters clean outliers denoise sor prune",
     "--drop-invalid": "N filter-nan nan remove-nan n",
@@ -50,6 +50,7 @@ _OPTION_WORDS: Final = {
     "--frames": "n num-frames n-frames frame-count iterations iters runs repeat repeats",
     "--height": "h",
     "--host": "bind address listen ip",
+    "--histograms": "histogram distribution distributions",
     "--ignore": "skip exclude disable except suppress no-rule",
     "--input NAME=VALUE": "set param params parameter var feed",
     "--input time=FROM..TO": "time-range time-start start end ss",
@@ -65,6 +66,7 @@ _OPTION_WORDS: Final = {
     "--lon": "longitude lonlat latlon crs epsg",
     "--mode": "render-mode output-names rendered-output-names show-output",
     "--mode alpha": "mask alpha",
+    "--mode color": "rgb rgba",
     "--mode depth": "depth",
     "--mode normal": "normal normals",
     "--morton": "M sort order",
@@ -81,9 +83,10 @@ _OPTION_WORDS: Final = {
     "--provider cuda": "cuda gpu",
     "--provider webgpu": "gpu use-gpu wgpu",
     "--rasteriser": "E engine renderer rasterizer",
-    "--rotate": "r rotation flip transform matrix z-up y-up up swap-yz up-axis",
+    "--rotate": "r rotation flip flip-x flip-y flip-z align orient transform matrix z-up y-up up swap-yz up-axis",
     "--scale": "s resize factor transform matrix",
     "--sh-degree": "H sh sh-degrees degree harmonics filter-harmonics filter-bands max-sh-degree bands sh-bands",
+    "--sh-degree 0": "remove-sh no-sh drop-sh strip-sh dc-only",
     "--size": "resolution res s vf image-size img-size geometry dimensions overwrite-input-shape "
     "input-shape shape",
     "--sphere": "S filter-sphere crop-sphere",
@@ -100,7 +103,7 @@ _OPTION_WORDS: Final = {
     "--up": "up-axis axis vertical-axis z-up y-up",
     "--verbose": "debug v vv",
     "--web": "browser http page open",
-    "--where": "V filter filter-value filter-by filter-opacity min-opacity opacity-threshold keep",
+    "--where": "V filter filter-value filter-by filter-opacity opacity min-opacity opacity-threshold keep",
     "--width": "w",
     "--workers": "jobs threads j n-workers num-workers parallel processes",
 }
@@ -113,6 +116,7 @@ _EDITS: Final = {
     "--box": "X,Y,Z,X,Y,Z",
     "--decimate": "N%",
     "--drop-floaters": "SIZE,COUNT",
+    "--histograms": "FILE.png",
     "--morton": "",
     "--rotate": "X,Y,Z",
     "--scale": "FACTOR",
@@ -120,7 +124,7 @@ _EDITS: Final = {
     "--translate": "X,Y,Z",
     "--where": "CONDITION",
 }
-"""Option of `gsgen convert` that edits splats → what it takes."""
+"""Option of `gsgen convert` that edits or describes splats → what it takes."""
 
 _VALUE: Final = re.compile(r"[-+\d.,%]+")
 
@@ -138,6 +142,9 @@ _ADVICE: Final = {
     "Name the folder of the iteration, such as point_cloud/iteration_7000.": "iteration iter step",
     "Set the environment variable NO_COLOR=1.": "no-color no-colour color colour",
     "Notes and progress go to stderr, which 2>/dev/null hides.": "quiet q silent no-progress progress",
+    "Drawing needs no screen: leave it out.": "headless egl offscreen osmesa xvfb no-window no-gui",
+    "Frames run one after another: leave it out.": "batch batch-size bs",
+    "Equal calls give equal results: leave it out.": "seed random-seed",
     "The first frame is measured apart: leave it out.": "warmup warm-up",
     _LISTING: "list list-formats formats list-options commands",
     "`gsgen rules` lists the rules.": "list-rules",
