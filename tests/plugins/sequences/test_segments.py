@@ -161,7 +161,7 @@ def test_a_segment_above_the_capacity_is_named(folder: Path) -> None:
         open_scene(folder / "small.json")
 
 
-def test_sound_and_captions_are_copied_and_the_scene_file_is_checked(folder: Path) -> None:
+def test_sound_and_the_upward_axis_are_written_and_the_scene_file_is_checked(folder: Path) -> None:
     with wave.open(str(folder / "speech.wav"), "wb") as file:
         file.setparams((1, 2, 8000, 0, "NONE", ""))
         file.writeframes(bytes(4 * 8000))
@@ -177,10 +177,20 @@ def test_sound_and_captions_are_copied_and_the_scene_file_is_checked(folder: Pat
         assert message in ran.err
     words = [str(word) for pair in files.items() for word in pair]
     ran = gsgen_here(
-        "export", "sequence", str(folder / "frames"), "-o", str(scene), *OPTIONS, *words
+        "export",
+        "sequence",
+        str(folder / "frames"),
+        "-o",
+        str(scene),
+        *OPTIONS,
+        *words,
+        *("--up", "+y"),
     )
     assert ran.code == 0, ran.err
-    sound = json.loads(scene.read_text())["sound"]
+    document = json.loads(scene.read_text())
+    assert document["up"] == "+y"
+    assert open_source(copies / "0001.onnx").up == (0, 1, 0)
+    sound = document["sound"]
     assert sound == {"path": "spoken/speech.wav", "captions": "spoken/speech.vtt"}
     assert (copies / "speech.wav").read_bytes() == (folder / "speech.wav").read_bytes()
     assert (copies / "speech.vtt").read_bytes() == (folder / "speech.vtt").read_bytes()

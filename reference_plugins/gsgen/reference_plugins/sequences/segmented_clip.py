@@ -179,6 +179,9 @@ class ClipExport(GraphSource):
             ],
             "timeline": {"seconds": sum(frames.values()) / fps, "fps": fps, "loop": self.clip.loop},
         }
+        up = self.files.read(0).up
+        if up != "-y":  # that of scenes without the field
+            document["up"] = up
         if sound:
             document["sound"] = {name: f"{folder.name}/{file.name}" for name, file in sound.items()}
         files = [folder / file for file in frames]
@@ -296,7 +299,7 @@ class _SegmentTask:
         clip = self.export.clip
         digest = hashlib.sha256()
         facts = [version("gsgen"), self.numbers, self.joined, clip.loop, clip.fps, clip.max_bytes]
-        facts += [clip.budget, self.export.moments, self.export.files.origin]
+        facts += [clip.budget, self.export.moments, self.export.files.origin, self.export.files.up]
         options = {key: value for key, value in self.options.items() if key != "settings"}
         facts += [sorted(options.items())]
         digest.update(repr(facts).encode())

@@ -3,7 +3,7 @@
 __all__ = ["PLUGIN", "build"]
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -62,6 +62,10 @@ def build(
             min=0.01,
         ),
     ] = None,
+    up: Annotated[
+        Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
+        typer.Option(help="Axis of the frames that points up.", show_default="the files', or -y"),
+    ] = None,
     sound: Annotated[
         Path | None,
         typer.Option(
@@ -96,7 +100,7 @@ def build(
         message, hint = "is given beside --error", "Give one of the two."
         raise ConfigInvalid(message, where="--quality", hint=hint)
     factor = 2.0 ** ((_USUAL_QUALITY - quality) / _QUALITY_STEPS)
-    files = FrameFiles.of(frames)
+    files = FrameFiles.of(frames, up)
     note(f"{len(files.paths):,} frames, {files.paths[0]} to {files.paths[-1]}")
     clip = ClipSource(
         names=[str(path) for path in files.paths],
