@@ -72,9 +72,13 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
         return
     hidden_share = float(np.mean(rows_behind_camera.drawn))
     visible_share = max(float(np.mean(entry.drawn)) for entry in rows_before_camera)
-    if hidden_share > 0 and visible_share <= _MAX_VISIBLE_RATIO * hidden_share:
+    if visible_share <= _MAX_VISIBLE_RATIO * hidden_share:
         actual = (
             f"{visible_share:.1%} of the rows are drawn where the camera looks at the scene, "
             f"{hidden_share:.1%} where it looks away"
         )
+        if not hidden_share:
+            actual = (
+                f"no row is drawn from any of {len(rows_before_camera)} places that see the scene"
+            )
         yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")

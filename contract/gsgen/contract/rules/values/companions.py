@@ -14,9 +14,11 @@ from gsgen.contract.validation.finding import Statistic, Violation, line_hint, s
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-# An image may leave its range by this fraction of it, in so many of its values.
-_RANGE_SLACK = 0.1
-_MAX_OUTLIER_SHARE = 0.01
+# An image may leave its range by this fraction of it, in so many of its values: networks overshoot
+# in few, and by less. A third and all of them are outside where signed values and bytes are declared
+# as [0, 1].
+_RANGE_SLACK = 0.25
+_MAX_OUTLIER_SHARE = 0.1
 
 
 def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -84,7 +86,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
             return
 
 
-@rule("GV057", Severity.WARNING, needs=("GV055", "GV056", *NOT_RANDOM), kinds=(POST_PROCESS,))
+@rule("GV057", Severity.ERROR, needs=("GV055", "GV056", *NOT_RANDOM), kinds=(POST_PROCESS,))
 def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """Nearly all values of the output image lie in the declared range, with some margin.
 
@@ -107,7 +109,7 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
         actual = f"values from {min_value:.3g} to {max_value:.3g}"
         expected = f"the declared range {[low, high]}"
         hint = _range_hint(float(min_value), float(max_value), [low, high])
-        yield Violation.at(f"output {name}", actual, expected, certainty="possible", hint=hint)
+        yield Violation.at(f"output {name}", actual, expected, hint=hint)
 
 
 def _range_hint(low: float, high: float, declared: list[float]) -> str:
