@@ -128,7 +128,8 @@ fetch_cesium() {
 }
 
 # The TypeScript compiler reads the types in the client's comments; three.js is at both ends of the
-# range of versions that the client supports. pyright reads the wheel's types as a consumer.
+# range of versions that the client supports. iwer emulates a headset. pyright reads the wheel's types
+# as a consumer.
 fetch_browser() {
     npm_package typescript 5.9.3 10e108c9cf7d5f2879053dff18515fb405abf2ccef63eaaf017d9c571687a1d3
     npm_package @webgpu/types 0.1.74 338b7fd717168ed7fdab61c124bf426cb90e2ffa30f61539e5c7cc6ea0a28062
@@ -137,6 +138,7 @@ fetch_browser() {
     npm_package fzstd 0.1.1 5ed2ee2d3439067be211d0093292c708a831045372342c897437e5a4997c45c5
     npm_package three 0.180.0 ad66d724565ee29a2467277fa84daa5ed0211d6b8d446e9ef29f6bae0cd14144
     npm_package three 0.187.0 ff540832ded0cfe919764d24a3d88f3e2a05f23303f876423e4f893841e90728
+    npm_package iwer 2.5.0 e7eb4efa736c0b52c6917a6ed093f3a287fd7eb59a6d371f6ce857d602f59263 build/iwer.min.js
     fetch_frameworks
 }
 

@@ -62,7 +62,6 @@ export class ThreeGaussians {
     this.object = new GaussianSplat(geometry);
     this.object.applyMatrix4(new three.Matrix4().fromArray(transposed4([...transform])));
     this.object.boundingSphere = new three.Sphere();
-    this._filled = 0;
     /** @type {Float32Array | null} The appearance that is stored, of how many rows. */
     this._appearance = null;
     this._colored = 0;
@@ -77,9 +76,8 @@ export class ThreeGaussians {
   fill({ rows, appearance, live }, camera = null) {
     const widened = camera && this.needsCamera ? wideningPlane(camera, this._transform) : [0, 0, 0, 0];
     const { _buffers: buffers, splatGeometry } = this.object;
-    const stored = [buffers.centerRead, buffers.covarianceARead, buffers.covarianceBRead, buffers.colorRead];
     // three.js replaces arrays when it first draws them by WebGL.
-    const attributes = stored.map(({ value }) => value);
+    const attributes = ["centerRead", "covarianceARead", "covarianceBRead", "colorRead"].map((name) => buffers[name].value);
     const [centers, first, second, words] = attributes.map(({ array }) => array);
     const colors = new Uint8ClampedArray(words.buffer, words.byteOffset, words.byteLength);
     const positions = splatGeometry.getAttribute("position").array;
@@ -117,8 +115,7 @@ export class ThreeGaussians {
       second[to + 1] = rows[from + 9] + extra;
       widest = Math.max(widest, rows[from + 4], rows[from + 7], rows[from + 9]);
     }
-    for (let row = live; row < this._filled; row++) colors[4 * row + 3] = 0;
-    this._filled = live;
+    for (let row = live; row < positions.length / 3; row++) colors[4 * row + 3] = 0;
     if (!isColored) {
       for (let band = 1; band <= this._degree; band++) attributes.push(this._fillBand(band, appearance, live));
       [this._appearance, this._colored] = [appearance, allFinite ? live : 0];
@@ -128,7 +125,11 @@ export class ThreeGaussians {
       attribute.needsUpdate = true;
       if (attribute.pbo) attribute.pbo.needsUpdate = true;
     }
-    this._bound(low, high, 2 * Math.sqrt(widest));
+    if (low[0] <= high[0]) {
+      const half = high.map((side, axis) => (side - low[axis]) / 2);
+      this.object.boundingSphere.center.fromArray(low.map((side, axis) => side + half[axis]));
+      this.object.boundingSphere.radius = Math.hypot(...half) + 2 * Math.sqrt(widest);
+    }
     this.sort();
   }
 
@@ -144,12 +145,10 @@ export class ThreeGaussians {
     return attribute;
   }
 
-  _bound(low, high, margin) {
-    const { boundingSphere } = this.object;
-    if (!(low[0] <= high[0])) return;
-    const half = high.map((side, axis) => (side - low[axis]) / 2);
-    boundingSphere.center.fromArray(low.map((side, axis) => side + half[axis]));
-    boundingSphere.radius = Math.hypot(...half) + margin;
+  /** Return nodes: the centre of a vertex's Gaussian, and the eye that sees its colours, in the rows' axes. */
+  nodes({ instanceIndex }) {
+    const { _buffers: buffers, _sort: sort, _localCameraPosition: eye } = this.object;
+    return { center: buffers.centerRead.element(sort.orderRead.element(instanceIndex)).xyz, eye };
   }
 
   /** Sort in the next picture, however little the camera has turned. */

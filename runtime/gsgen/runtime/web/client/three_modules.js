@@ -16,7 +16,7 @@ export const threeSettings = { load: null };
 const RADIANS = Math.PI / 180;
 const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
 // three.js looks along −z with y up; the client's cameras look along +z with y down.
-const CAMERA_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
+export const CAMERA_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
 
 /**
  * Load three.js and addons of it.
