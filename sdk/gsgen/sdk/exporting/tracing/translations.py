@@ -2,16 +2,15 @@
 
 __all__ = ["OPERATOR_TRANSLATIONS"]
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-import onnx_ir as ir
 import torch
 from onnx import TensorProto
-from onnx_ir.tensor_adapters import from_torch_dtype, to_torch_dtype
 from onnxscript import opset18
 from onnxscript.function_libs.torch_lib.ops.linalg import aten_linalg_vector_norm
+
+from gsgen.sdk.exporting.tracing.number_translations import NUMBER_TRANSLATIONS
 
 # Its types are those of single operators, not of what they return.
 _OPSET18: Any = opset18
@@ -80,16 +79,30 @@ def _translate_position(operator: str) -> Callable[..., Any]:
 def _translate_truth(operator: str) -> Callable[..., Any]:
     """Return the translation of ``any`` or ``all``: an empty list of dimensions reduces none."""
 
-    def translate(values: Any, dim: Sequence[int] | None = None, keepdim: bool = False) -> Any:
+    def translate(
+        values: Any, dim: int | Sequence[int] | None = None, keepdim: bool = False
+    ) -> Any:
         truth = _OPSET18.Cast(values, to=TensorProto.BOOL)
-        if dim is not None and not dim:
+        dims = [dim] if isinstance(dim, int) else dim
+        if dims is not None and not dims:
             return truth
-        axes = [] if dim is None else [_OPSET18.Constant(value_ints=list(dim))]
+        axes = [] if dims is None else [_OPSET18.Constant(value_ints=list(dims))]
         numbers = _OPSET18.Cast(truth, to=TensorProto.INT32)
         extreme = getattr(_OPSET18, operator)(numbers, *axes, keepdims=int(keepdim))
-        return _OPSET18.Cast(extreme, to=TensorProto.BOOL)
+        # Of no numbers, the largest is below 0 and the smallest above 1.
+        zero = _OPSET18.Cast(_OPSET18.Constant(value_int=0), to=TensorProto.INT32)
+        return _OPSET18.Greater(extreme, zero)
 
     return translate
+
+
+def _translate_stable_sort(
+    values: Any, stable: bool | None = None, dim: int = -1, descending: bool = False
+) -> Any:
+    """Translate ``sort``: of equal numbers, TopK puts the one with the lower index first."""
+    axis = _OPSET18.Constant(value_ints=[dim])
+    size = _OPSET18.Gather(_OPSET18.Shape(values), axis, axis=0)
+    return _OPSET18.TopK(values, size, axis=dim, largest=int(descending), sorted=1)
 
 
 def _translate_vector_norm(
@@ -148,125 +161,19 @@ def _translate_index_reduce(
     return _translate_scatter_reduce(target, dim, indices, source, reduce, include_self)
 
 
-# Types of numbers that ONNX Runtime raises; others are raised as float32 or int64.
-_POWER_TYPES: Final = (
-    *(ir.DataType.FLOAT, ir.DataType.DOUBLE, ir.DataType.FLOAT16),
-    *(ir.DataType.INT32, ir.DataType.INT64),
-)
-
-
-def _promotable(number: Any) -> Any:
-    """Return a number, or for a tensor of the graph an empty one of its type and rank."""
-    if isinstance(number, int | float):
-        return number
-    size = [0] * len(number.shape)
-    return torch.empty(size, dtype=to_torch_dtype(number.dtype), device="meta")
-
-
-def _translate_power(base: Any, exponent: Any) -> Any:
-    """Translate ``pow``: ONNX gives the result the base's type, torch the type of both together."""
-    promoted = torch.result_type(_promotable(base), _promotable(exponent))
-    result_type = from_torch_dtype(promoted)
-    other_type = ir.DataType.FLOAT if promoted.is_floating_point else ir.DataType.INT64
-    power_type = result_type if result_type in _POWER_TYPES else other_type
-
-    def cast(number: Any) -> Any:
-        if isinstance(number, int | float):
-            number = _OPSET18.Constant(value=ir.tensor(number, power_type))
-        elif number.dtype != power_type:
-            number = _OPSET18.Cast(number, to=int(power_type))
-        return number
-
-    base, exponent = cast(base), cast(exponent)
-    if not promoted.is_floating_point:
-        # Of whole numbers, torch takes 1 / 0 for 0: so does 0 to the power of 1.
-        zero = _OPSET18.CastLike(_OPSET18.Constant(value_int=0), base)
-        is_infinite = _OPSET18.And(_OPSET18.Equal(base, zero), _OPSET18.Less(exponent, zero))
-        exponent = _OPSET18.Where(is_infinite, _OPSET18.Neg(exponent), exponent)
-    power = _OPSET18.Pow(base, exponent)
-    if power_type == result_type:
-        return power
-    return _OPSET18.Cast(power, to=int(result_type))
-
-
-def _translate_copysign(magnitude: Any, sign: Any) -> Any:
-    """Translate ``copysign``: the sign of -0.0 counts."""
-    promoted = torch.result_type(_promotable(magnitude), _promotable(sign))
-    result_type = promoted if promoted.is_floating_point else torch.get_default_dtype()
-    code = int(from_torch_dtype(result_type))
-    size = _OPSET18.Abs(_OPSET18.Cast(magnitude, to=code))
-    if isinstance(sign, int | float):
-        return size if math.copysign(1, sign) > 0 else _OPSET18.Neg(size)
-    is_negative = _is_negative(_OPSET18.Cast(sign, to=code))
-    return _OPSET18.Where(is_negative, _OPSET18.Neg(size), size)
-
-
-def _translate_scalar(number: float, dtype: int = TensorProto.FLOAT, **_: Any) -> Any:
-    """Translate ``prims.scalar_tensor``, to which torch decomposes the numbers of some functions."""
-    return _OPSET18.Constant(value=ir.tensor(number, ir.DataType(dtype)))
-
-
-def _translate_signbit(values: Any) -> Any:
-    """Translate ``signbit``; numbers without a sign are 0 or more."""
-    if values.dtype.is_floating_point():
-        return _is_negative(values)
-    integers = _OPSET18.Cast(values, to=TensorProto.INT64)
-    return _OPSET18.Less(integers, _OPSET18.Constant(value_int=0))
-
-
-def _is_negative(values: Any) -> Any:
-    """Return which floats are negative, -0.0 included, as its reciprocal shows."""
-    zero = _OPSET18.CastLike(_OPSET18.Constant(value_float=0.0), values)
-    is_negative_zero = _OPSET18.And(
-        _OPSET18.Equal(values, zero), _OPSET18.Less(_OPSET18.Reciprocal(values), zero)
-    )
-    return _OPSET18.Or(_OPSET18.Less(values, zero), is_negative_zero)
-
-
-def _translate_hypot(a: Any, b: Any) -> Any:
-    """Translate ``prims.hypot``: the larger size times √(1 + ratio²), whose squares do not overflow."""
-    size_a, size_b = _OPSET18.Abs(a), _OPSET18.Abs(b)
-    large, small = _OPSET18.Max(size_a, size_b), _OPSET18.Min(size_a, size_b)
-    zero, one, infinity = (
-        _OPSET18.CastLike(_OPSET18.Constant(value_float=x), a) for x in (0.0, 1.0, float("inf"))
-    )
-    ratio = _OPSET18.Div(small, _OPSET18.Where(_OPSET18.Equal(large, zero), one, large))
-    size = _OPSET18.Mul(large, _OPSET18.Sqrt(_OPSET18.Add(one, _OPSET18.Mul(ratio, ratio))))
-    # An infinite side is longer than any other, also beside a NaN.
-    is_infinite = _OPSET18.Or(_OPSET18.Equal(size_a, infinity), _OPSET18.Equal(size_b, infinity))
-    return _OPSET18.Where(is_infinite, infinity, size)
-
-
-def _translate_number_extreme(operator: str) -> Callable[..., Any]:
-    """Return the translation of ``prims.fmax`` or ``fmin``, which take the number beside a NaN."""
-
-    def translate(a: Any, b: Any) -> Any:
-        extreme = getattr(_OPSET18, operator)(a, b)
-        if not a.dtype.is_floating_point():
-            return extreme
-        number = _OPSET18.Where(_OPSET18.IsNaN(b), a, extreme)
-        return _OPSET18.Where(_OPSET18.IsNaN(a), b, number)
-
-    return translate
-
-
 OPERATOR_TRANSLATIONS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
+    **NUMBER_TRANSLATIONS,
     torch.ops.aten.searchsorted.Tensor: _translate_searchsorted,
-    torch.ops.prims.scalar_tensor.default: _translate_scalar,
     torch.ops.prims.prod.default: _translate_prod,
-    torch.ops.prims.hypot.default: _translate_hypot,
-    torch.ops.prims.fmax.default: _translate_number_extreme("Max"),
-    torch.ops.prims.fmin.default: _translate_number_extreme("Min"),
-    torch.ops.aten.signbit.default: _translate_signbit,
-    torch.ops.aten.copysign.Tensor: _translate_copysign,
-    torch.ops.aten.copysign.Scalar: _translate_copysign,
-    torch.ops.aten.pow.Tensor_Tensor: _translate_power,
-    torch.ops.aten.pow.Tensor_Scalar: _translate_power,
-    torch.ops.aten.pow.Scalar: _translate_power,
     torch.ops.aten.amax.default: _translate_extreme("ReduceMax"),
     torch.ops.aten.amin.default: _translate_extreme("ReduceMin"),
     torch.ops.aten.argmax.default: _translate_position("ArgMax"),
     torch.ops.aten.argmin.default: _translate_position("ArgMin"),
+    torch.ops.aten.sort.stable: _translate_stable_sort,
+    torch.ops.aten.any.default: _translate_truth("ReduceMax"),
+    torch.ops.aten.all.default: _translate_truth("ReduceMin"),
+    torch.ops.aten.any.dim: _translate_truth("ReduceMax"),
+    torch.ops.aten.all.dim: _translate_truth("ReduceMin"),
     torch.ops.aten.any.dims: _translate_truth("ReduceMax"),
     torch.ops.aten.all.dims: _translate_truth("ReduceMin"),
     torch.ops.aten.linalg_vector_norm.default: _translate_vector_norm,
