@@ -10,7 +10,6 @@ import torch
 from typer.testing import CliRunner
 
 from gsgen.cli.command_group import build
-from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.reference_plugins.enhancers.enhancer import Enhancer
@@ -87,7 +86,13 @@ def test_models_are_captured_and_replayed_in_webgpu(name: str, tmp_path: Path) -
     assert_captured(exported.report)
 
 
-@pytest.mark.parametrize("name", ["rrdb_x2", "compact_x2", "nafnet"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("rrdb_x2", "compact_x2", "nafnet"),
+        pytest.param("swinir_classical", marks=pytest.mark.slow),
+    ],
+)
 def test_a_model_of_open_size_takes_odd_sizes(name: str, tmp_path: Path) -> None:
     enhancer = Enhancer(read_network(CASES[name].write(tmp_path)), None)
     path = tmp_path / "open.onnx"
@@ -101,12 +106,6 @@ def test_a_model_of_open_size_takes_odd_sizes(name: str, tmp_path: Path) -> None
         with torch.no_grad():
             expected = Enhancer(enhancer.network, size)(torch.from_numpy(image)).numpy()
         assert np.abs(result - expected).max() <= ALLOWED
-
-
-def test_windows_are_laid_over_a_fixed_size(tmp_path: Path) -> None:
-    network = read_network(CASES["swinir_classical"].write(tmp_path))
-    with pytest.raises(ConfigInvalid, match="SwinIR lays its windows over a fixed size"):
-        Enhancer(network, None)
 
 
 @pytest.mark.parametrize("scale", [2, 3, 4])

@@ -10,7 +10,6 @@ import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
-from gsgen.contract.errors import ConfigInvalid
 from gsgen.sdk import PostProcess, inputs
 
 
@@ -21,14 +20,12 @@ class ImageNetwork(nn.Module, ABC):
         source: Where the network's own code is.
         scale: Height and width of the result, as multiples of those of the image.
         multiple: What the sides of its images are multiples of.
-        takes_any_size: Whether a model of open size can be made of it.
         padding: How published code fills an image up to such a multiple.
     """
 
     source: str
     scale: int
     multiple: int = 1
-    takes_any_size: bool = True
     padding: Literal["constant", "reflect"] = "reflect"
 
     @abstractmethod
@@ -48,10 +45,6 @@ class Enhancer(PostProcess):
 
     def __init__(self, network: ImageNetwork, size: tuple[int, int] | None) -> None:
         super().__init__()
-        if size is None and not network.takes_any_size:
-            message = "is any, but SwinIR lays its windows over a fixed size"
-            hint = "Give WIDTHxHEIGHT: larger pictures run in tiles."
-            raise ConfigInvalid(message, where="--size", hint=hint)
         self.network, self.size, self.scale = network.eval(), size, network.scale
         self.inputs = [inputs.image(3, size)]
 

@@ -189,7 +189,6 @@ class SwinIR(ImageNetwork):
     """Layers of such blocks at the image's size, and an upsampler."""
 
     source = "https://github.com/JingyunLiang/SwinIR"
-    takes_any_size = False
 
     def __init__(self, options: SwinIROptions) -> None:
         super().__init__()
