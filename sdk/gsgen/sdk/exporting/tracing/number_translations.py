@@ -158,7 +158,7 @@ def _translate_remainder(a: Any, b: Any) -> Any:
     """Translate ``remainder``, a - b ⌊a / b⌋ with the quotient that is not rounded.
 
     A quotient in floats is rounded up to whole numbers: ⌊1 / 0.1⌋ is 10, although 10 times the
-    float 0.1 is more than 1. Only if ``b`` is a power of two is no quotient rounded.
+    float 0.1 is more than 1. Quotients by a power of two are exact.
     """
     is_power_of_two = _is_power_of_two(b)
     a, b, kind = _promoted(a, b)
