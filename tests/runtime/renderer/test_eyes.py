@@ -26,6 +26,7 @@ from gsgen.runtime.scene.eyes import beside, eye_frames, pair_of_eyes
 from gsgen.runtime.scene.frame import Frame, Output, psnr
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.placed_source import PlacedSource
+from gsgen.runtime.sources.segmented_source import Segment, SegmentedSource
 from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk.binding import FrameSession
 from support.rendering.mesh_scenes import MESH_SCENES
@@ -234,6 +235,40 @@ def test_a_model_that_takes_the_camera_runs_for_each_eye(
         source.update(middle, {})
         shared = renderer.render(player.scene, request.camera, right=request.right)
         assert psnr(shared.rgba, expected.rgba) < LEAST
+
+
+class Still(GeneratorSource):
+    """A model whose one run serves all cameras."""
+
+    follows_camera = False
+
+
+def test_the_first_frame_of_a_segment_has_eyes_as_its_own_model_says(
+    renderer: Renderer, tmp_path: Path
+) -> None:
+    path = find("camera_position").write(tmp_path)
+    segments = [Segment(path.with_stem(name), 1.0) for name in ("still", "follows")]
+    for segment in segments:
+        segment.path.write_bytes(path.read_bytes())
+
+    def opened(file: Path) -> GeneratorSource:
+        return Still(file) if file.stem == "still" else GeneratorSource(file)
+
+    with closing(GeneratorSource(path)) as single:
+        capacity = len(single.data)
+    with closing(SegmentedSource("clip", segments, capacity, opened)) as source:
+        player = Player([source], renderer=renderer)
+        request = stereo(Camera.orbit((0, 0, 0), 4, width=48, height=32), 0)
+        moments = [replace(request, values=({"time": time},)) for time in (0.5, 1.5, 0.5)]
+        first, second, third = player.play(moments)
+        eyes = [
+            replace(moments[1], camera=eye, right=None) for eye in (request.camera, request.right)
+        ]
+        np.testing.assert_array_equal(
+            second.rgba, beside(*[next(iter(player.play([eye]))) for eye in eyes]).rgba
+        )
+        assert psnr(first.rgba, second.rgba) < LEAST
+        assert_same(third, first)
 
 
 def test_post_process_models_see_each_eye_alone(

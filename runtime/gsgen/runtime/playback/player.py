@@ -149,14 +149,8 @@ class Player:
         queue.waits = max_in_flight == 1
         eye_counts = deque[int]()
 
-        def requests_of_eyes() -> Iterator[FrameRequest]:
-            for request in requests:
-                eyes = self._separate_eyes(request)
-                eye_counts.append(len(eyes))
-                yield from eyes
-
         try:
-            computed = self._compute_frames(requests_of_eyes())
+            computed = self._compute_frames(requests, eye_counts)
             frames = self._draw_computed(computed, queue, max_in_flight)
             for frame in frames:
                 yield beside(frame, next(frames)) if eye_counts.popleft() > 1 else frame
@@ -183,16 +177,29 @@ class Player:
         return 1
 
     def _compute_frames(
-        self, requests: Iterable[FrameRequest]
+        self, requests: Iterable[FrameRequest], eye_counts: deque[int]
     ) -> Iterator[tuple[FrameRequest, int]]:
-        """Yield each request with its number once it is computed, and the next one has begun."""
+        """Yield each request with its number once it is computed, and the next one has begun.
+
+        Args:
+            requests: The frames.
+            eye_counts: Takes how many frames each of them becomes.
+        """
         before: tuple[FrameRequest, int] | None = None
         for request in requests:
             self._finish_sources()
             number = self._start_frame(request)
+            # Once begun, a source of several files tells of the file of this moment.
+            first, *others = self._separate_eyes(request)
+            eye_counts.append(1 + len(others))
             if before is not None:
                 yield before
-            before = request, number
+            before = first, number
+            for eye in others:
+                self._finish_sources()
+                number = self._start_frame(eye)
+                yield before
+                before = eye, number
         self._finish_sources()
         if before is not None:
             yield before
