@@ -422,6 +422,43 @@ def infer_shapes_again(draft: Draft, _: object) -> None:
     draft.model.CopyFrom(onnx.shape_inference.infer_shapes(draft.model))
 
 
+def rename_tensor(draft: Draft, old_name: str, new_name: str) -> None:
+    graph = draft.model.graph
+    for node in graph.node:
+        for names in (node.input, node.output):
+            names[:] = [new_name if name == old_name else name for name in names]
+    for value in (*graph.input, *graph.output, *graph.value_info):
+        value.name = new_name if value.name == old_name else value.name
+    for entry in draft.manifest["inputs"]:
+        entry["name"] = new_name if entry["name"] == old_name else entry["name"]
+
+
+def remove_input(draft: Draft, match: re.Match[str]) -> None:
+    inputs = draft.model.graph.input
+    inputs.remove(next(value for value in inputs if value.name == match["name"]))
+    part, key = parent_of(draft, match["path"])
+    part.pop(key)
+
+
+def store_in_float32(draft: Draft, match: re.Match[str]) -> None:
+    for weight in draft.model.graph.initializer:
+        if weight.name == match["name"]:
+            array = onnx.numpy_helper.to_array(weight).astype(np.float32)
+            weight.CopyFrom(onnx.numpy_helper.from_array(array, weight.name))
+
+
+def store_numbers(draft: Draft, _: object) -> None:
+    """Store what the named node of random numbers might have drawn, as a weight."""
+    graph = draft.model.graph
+    inferred = onnx.shape_inference.infer_shapes(draft.model).graph
+    values = {v.name: v for v in (*inferred.value_info, *inferred.input, *inferred.output)}
+    for node in [node for node in graph.node if node.op_type.startswith("Random")]:
+        shape = [dim.dim_value for dim in values[node.output[0]].type.tensor_type.shape.dim]
+        numbers = np.random.default_rng(1).uniform(0, 1, shape).astype(np.float32)
+        draft.add_weights({node.output[0]: numbers})
+        graph.node.remove(node)
+
+
 def unique_names(draft: Draft, _: object) -> None:
     for index, node in enumerate(draft.model.graph.node):
         node.name = f"node_{index}"
@@ -436,12 +473,23 @@ SET, LINE = (
     re.compile(r"\bSet ([\w.-]+) to "),
     re.compile(r"`(?:\w+ = \w+\.clone\(\); )?(\w+(?:\[[^`]*?\])? = [^`]+)`"),
 )
-REMOVE = re.compile(r"\b[Rr]emove (\w+(?:\.[\w-]+)+)[,.]")
+TAKE = re.compile(r"\bTake (\S+) as \[([^\]]*)\]\.")
+RENAME = re.compile(r"\bRename '([^']+)' to '([^']+)', in the graph and in the manifest")
+REMOVE = re.compile(r"\b[Rr]emove (\w+(?:\.[\w-]+)+|\w+(?=, or))[,.]")
 
 
 def exact_steps(draft: Draft) -> bool:
     """Set the fields and add the lines that a hint gives, or else remove the field that it names."""
     hint, steps = draft.finding.hint, 0
+    for name, sizes in TAKE.findall(hint):
+        dims = draft.tensor(name).shape.dim
+        del dims[:]
+        for size in sizes.split(", "):
+            dims.add(**{"dim_value": int(size)} if size.isdigit() else {"dim_param": size})
+        steps += 1
+    for old_name, new_name in RENAME.findall(hint):
+        rename_tensor(draft, old_name, new_name)
+        steps += 1
     for match in SET.finditer(hint):
         value, _ = json.JSONDecoder().raw_decode(hint, match.end())
         part, key = parent_of(draft, match[1])
@@ -454,7 +502,7 @@ def exact_steps(draft: Draft) -> bool:
         subject = draft.finding.where.subject.removeprefix("output ")
         outputs = {value.name for value in draft.model.graph.output}
         declared = draft.manifest["outputs"]
-        roles = {"rows": "gaussians", "color": "appearance", "count": "count"}
+        roles = {"rows": "gaussians", "color": "appearance", "count": "count", "cells": "cells"}
         roles = {word: declared[role]["name"] for word, role in roles.items() if role in declared}
         if subject in outputs:
             roles["rows"] = subject
@@ -462,8 +510,9 @@ def exact_steps(draft: Draft) -> bool:
         steps += 1
     if not steps and (removal := REMOVE.search(hint)):
         part, key = parent_of(draft, removal[1])
-        part.pop(key)
-        steps += 1
+        if isinstance(part, list) or key in part:
+            part.pop(key)
+            steps += 1
     return steps > 0
 
 
@@ -526,7 +575,10 @@ MENDS: tuple[tuple[str, Edit], ...] = (
     (r"without blend: wsr; .*Declare the tensor of cells", set_field("blend", "wsr")),
     (r"expected unique node names", unique_names),
     (r"Run shape inference again", infer_shapes_again),
-    (r"training_mode is .*without training mode", leave_training),
+    (r"Call model\.eval\(\)", leave_training),
+    (r"Store the weight (?P<name>\S+) in float32", store_in_float32),
+    (r"expected stored numbers", store_numbers),
+    (r"Remove input (?P<name>\S+) from the graph, and (?P<path>inputs\.\d+)", remove_input),
     (r'or declare "capture": \{"static_shapes": false\}', set_field("capture", {"static_shapes": False})),
     (r"Return `rows\[:, (?P<columns>\[[\d, ]+\])\]`", reorder_columns),
     (r"opacity \|.*\| Apply the sigmoid", on_opacity("alpha = Sigmoid (raw)")),

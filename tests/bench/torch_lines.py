@@ -1,7 +1,8 @@
 """Adds to a model the torch lines that a hint gives, such as ``rows[:, :3] = rows[:, :3] / 255``.
 
 A line that assigns to an input begins the module, one that assigns to an output ends it. Names are
-those of the graph; ``rows``, ``color``, ``count`` and ``cells`` are the outputs of these roles.
+those of the graph; ``rows``, ``color``, ``count`` and ``cells`` are the outputs of these roles. A
+line that assigns to a new name adds an output.
 Lines are interpreted, never evaluated: torch traces them, and the nodes of the trace join the graph.
 """
 
@@ -23,12 +24,16 @@ OPERATORS: Mapping[type, Callable[..., Any]] = {
     ast.Pow: operator.pow,
     ast.MatMult: operator.matmul,
     ast.USub: operator.neg,
+    ast.Invert: operator.invert,
     ast.BitAnd: operator.and_,
     ast.Gt: operator.gt,
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.GtE: operator.ge,
 }
+
+# The operator sets that torch traces to.
+OPSETS = 16, 20
 
 
 class Line(torch.nn.Module):
@@ -95,14 +100,19 @@ def add_line(model: onnx.ModelProto, text: str, roles: Mapping[str, str]) -> Non
     graph = model.graph
     inputs = {value.name: value for value in graph.input}
     values = inputs | {value.name: value for value in graph.output}
-    values |= {word: values[name] for word, name in roles.items() if word not in values}
+    known = {word: name for word, name in roles.items() if word not in values and name in values}
+    values |= {word: values[name] for word, name in known.items()}
     words = list(dict.fromkeys(n.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Name)))
+    if words[0] not in values:
+        values[words[0]] = graph.output.add(name=words[0])
     target = values[words[0]]
-    words = [word for word in words if word != "torch"]
+    words = [word for word in words if word != "torch" and values[word].type.ByteSize()]
     prefix = f"line_{len(graph.node)}."
-    part, result = _traced(text, {word: values[word] for word in words}, prefix)
     opset = next(entry.version for entry in model.opset_import if not entry.domain)
-    assert opset >= part.opset_import[0].version or opset >= 16, "an operator set of old"
+    assert opset >= OPSETS[0], "an operator set of old"
+    part, result = _traced(
+        text, {word: values[word] for word in words}, prefix, min(opset, OPSETS[1])
+    )
     is_first = target.name in inputs
     inner = f"{prefix}{target.name}"
     if is_first:
@@ -134,7 +144,7 @@ def _rename(graph: onnx.GraphProto, name: str, new_name: str, ends: tuple[str, .
 
 
 def _traced(
-    text: str, values: Mapping[str, onnx.ValueInfoProto], prefix: str
+    text: str, values: Mapping[str, onnx.ValueInfoProto], prefix: str, opset: int
 ) -> tuple[onnx.ModelProto, str]:
     """Return the graph that torch makes of a line, and the name of its result."""
     examples = []
@@ -151,7 +161,7 @@ def _traced(
             tuple(examples),
             file,
             dynamo=False,
-            opset_version=17,
+            opset_version=opset,
             input_names=list(values),
             output_names=["result"],
         )

@@ -17,6 +17,7 @@ FEW, PER_CELL = 40, 3
 NAMES = SimpleNamespace(
     declared_gaussians=GaussiansOutput("gaussians", FEW * PER_CELL),
     declared_cells=CellsOutput("cells", PER_CELL),
+    declared_count=None,
 )
 SPECIAL_VALUES = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -0.5, 1.5, 65504.0, 1e-6)
 DTYPES = pytest.mark.parametrize("dtype", [np.float32, np.float16])

@@ -1,4 +1,6 @@
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,10 +8,11 @@ import onnx
 import onnxruntime
 import pytest
 
-from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures import find, fixtures
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
@@ -210,3 +213,49 @@ def test_versions_of_a_model_without_manifest_are_lowered(tmp_path: Path) -> Non
     repair(path, tmp_path / "fixed.onnx")
     assert onnx.load(tmp_path / "fixed.onnx").ir_version == 10
     assert not onnx.load(tmp_path / "fixed.onnx").metadata_props
+
+
+# Rules whose hints may name `gsgen fix`, by the level that finds them; no manifest is derived here.
+PROMISING_RULES = {
+    "GG001": Level.STATIC,
+    "GI005": Level.STATIC,
+    "GO004": Level.STATIC,
+    "GO011": Level.STATIC,
+    "GO015": Level.STATIC,
+    "GO020": Level.STATIC,
+    "TV101": Level.STATIC,
+    "TV102": Level.STATIC,
+    "TV104": Level.STATIC,
+    "GV002": Level.VALUES,
+    "GV014": Level.VALUES,
+    "GV018": Level.VALUES,
+}
+COMMAND = re.compile(r"`gsgen fix MODEL ([^`]*)-o COPY`")
+
+
+@pytest.mark.parametrize(
+    "name", [f.name for f in fixtures() if f.rule in PROMISING_RULES and f.suffix == ".onnx"]
+)
+def test_what_a_hint_says_of_the_command_is_true(tmp_path: Path, name: str) -> None:
+    fixture = find(name)
+    source, fixed_path = fixture.write(tmp_path), tmp_path / "fixed.onnx"
+    settings = replace(fixture.settings, level=PROMISING_RULES[fixture.rule])
+    before = validate(source, settings)
+    finding = next(entry for entry in before.findings if entry.rule == fixture.rule)
+    command = COMMAND.search(finding.hint)
+    words = command[1].split() if command else []
+    sizes = dict(word.split("=") for word in words if "=" in word)
+    request = RepairRequest(
+        sizes={symbol: int(size) for symbol, size in sizes.items()},
+        rename="--rename" in words,
+        channel_major="channel-major" in words,
+    )
+    try:
+        after = repair(source, fixed_path, request, settings).after
+    except GsgenError as error:
+        assert command is None, (finding.hint, str(error))
+        assert not fixed_path.exists()
+        return
+    assert command is None or fixture.rule not in {entry.rule for entry in after.findings}
+    errors = {e.rule for e in before.findings if e.severity is Severity.ERROR}
+    assert {e.rule for e in after.findings if e.severity is Severity.ERROR} <= errors

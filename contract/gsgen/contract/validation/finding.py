@@ -11,6 +11,8 @@ __all__ = [
     "line_hint",
     "remove_hint",
     "set_hint",
+    "size_hint",
+    "take_hint",
 ]
 
 import hashlib
@@ -45,6 +47,16 @@ def line_hint(line: str, *, first: bool = False) -> str:
 def remove_hint(path: str, alternative: str) -> str:
     """Return the hint to remove a manifest field by its path, or to do something else."""
     return f"Remove {path}, or {alternative}."
+
+
+def size_hint(symbol: str, size: int) -> str:
+    """Return the hint to give a symbolic dimension a size."""
+    return f"`gsgen fix MODEL --size {symbol}={size} -o COPY` gives {symbol} this size."
+
+
+def take_hint(name: str, shape: str, line: str = "") -> str:
+    """Return the hint to take an input of another shape, and the line of torch that fits it."""
+    return f"Take {name} as {shape}. {line_hint(line, first=True)}".strip()
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,14 +130,14 @@ class SilencePadding(_Repair):
 
 
 class RenameOutputs(_Repair):
-    """Rename outputs for viewers that find them by name (rules TV101 and TV102)."""
+    """Rename outputs and list them first, for viewers that find them by name (TV101 and TV102)."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         super().__init__()
         self.names = names
 
     def repair(self, model: ir.Model) -> bool:
-        """Rename outputs of a model; an inner value that has a new name already is renamed, too."""
+        """Rename outputs and list them first; an inner value that has a new name is renamed, too."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}
@@ -152,7 +152,14 @@ class RenameOutputs(_Repair):
                 value.name = unused_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
             value.name = renames.get(value.name or "", value.name)
-        return bool(renames)
+        new_names = list(self.names.values())
+        order = sorted(
+            graph.outputs,
+            key=lambda v: new_names.index(v.name) if v.name in new_names else len(new_names),
+        )
+        is_modified = bool(renames) or order != list(graph.outputs)
+        graph.outputs[:] = order
+        return is_modified
 
 
 class PinDimensions(_Repair):

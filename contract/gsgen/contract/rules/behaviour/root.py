@@ -120,7 +120,16 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
     fault = next(_faults_of_pairs(behaviour), "") or _fault_of_turn(behaviour)
     if fault:
         expected = "M p about the root for each centre p, and M Σ Mᵀ for each covariance Σ"
-        yield Violation.at(f"input {entries[0].name}", fault, expected)
+        name = entries[0].name
+        tensor = behaviour.subject.graph.input(name)
+        inverse = f"{name}.transpose(0, 1)" if tensor and tensor.dims == (3, 3) else f"-{name}"
+        is_inverse = fault.startswith(_BACKWARDS)
+        line = line_hint(f"{name} = {inverse}" if is_inverse else "", first=True)
+        hint = f"Multiply rows from the right by Mᵀ. Or undo it: {line}" if line else ""
+        yield Violation.at(f"input {name}", fault, expected, hint=hint)
+
+
+_BACKWARDS = "the body turns backwards, by the inverse rotation"
 
 
 def _faults_of_pairs(behaviour: Behaviour) -> Iterator[str]:
@@ -139,7 +148,7 @@ def _faults_of_pairs(behaviour: Behaviour) -> Iterator[str]:
             np.linalg.norm(fitted_rotation - reverse_rotation) <= _MAX_SAME_ROTATION
             and np.linalg.norm(fitted_rotation - forward_rotation) >= _MIN_OTHER_ROTATION
         ):
-            yield "the body turns backwards, by the inverse rotation: the matrix is transposed"
+            yield f"{_BACKWARDS}: the matrix is transposed"
         elif np.linalg.norm(fitted_rotation - forward_rotation) <= _MAX_SAME_ROTATION:
             yield from _faults_of_covariances(fitted_rotation, first, second)
 

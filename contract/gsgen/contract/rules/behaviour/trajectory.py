@@ -39,6 +39,15 @@ _EIGENVALUE_SLACK = 1e-5
 _MIN_ORDER_MARGIN = 0.3
 # The largest drift of a predicted state, relative to the size of the coordinates.
 _MAX_REST_POSE_DRIFT = 2e-3
+_DIVISION_HINT = (
+    "A division by a speed, a length or a difference sees zero: add a small number to it."
+)
+# The lines that undo how predictions leave a path, by the words of the fault.
+_UNDOING_LINES = {
+    "states come farthest first; nearest first is right": "rows = rows.flip(0)",
+    "quaternions are written in the order x y z w": "rows = rows[:, [0, 1, 2, 6, 3, 4, 5]]",
+    "quaternions are written as their inverses": "rows[:, 4:] = -rows[:, 4:]",
+}
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
@@ -52,11 +61,15 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     Hint:
         A division by a speed, a length or a difference sees zero: add a small number to it.
     """
+    manifest = probe_runs.subject.manifest
+    doubts = [manifest.outputs.uncertainty.name] if isinstance(manifest, TrajectoryManifest) else []
     for name, value, label in _values(probe_runs):
         if not np.isfinite(value).all():
             row = int(np.flatnonzero(~np.isfinite(value).all(axis=1))[0])
             actual = f"row {row} is {value[row].tolist()!r:.80} at probe {label!r}"
-            yield Violation.at(f"output {name}", actual, "finite numbers")
+            line = line_hint("rows = torch.where(rows.abs() < 3e38, rows, 1)")
+            hint = f"{_DIVISION_HINT} Uncertain meanwhile: {line}" if name in doubts else ""
+            yield Violation.at(f"output {name}", actual, "finite numbers", hint=hint)
 
 
 @rule(
@@ -227,7 +240,8 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
         tells them apart predicts another path after a change of sign that means nothing.
 
     Hint:
-        Multiply the history by the sign of its last w, or predict from relative rotations.
+        Multiply the quaternions of the history by the sign of its last w, and the predicted ones by
+        the same sign; or predict from relative rotations.
     """
     runs = behaviour.trial_runs("paths")
     if len(runs) < 2 or not runs[-1].probe.label.endswith(NEGATED_LABEL):
@@ -290,7 +304,12 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
                     f"the first state one step on, within {MAX_STEP_ERROR:g} of it; later ones go on "
                     "so, or brake gently"
                 )
-                yield Violation.at(f"output {future_name}", actual, expected)
+                line = line_hint(_UNDOING_LINES.get(fault, ""))
+                # The first state, one step before the oldest one: the newest was taken from there.
+                if fault.startswith(f"predicted state 1 is -{len(history)} steps on"):
+                    name = next(e.name for e in manifest.inputs if e.role == "camera_history")
+                    line = line_hint(f"{name} = {name}.flip(0)", first=True)
+                yield Violation.at(f"output {future_name}", actual, expected, hint=line)
                 return
 
 
@@ -382,7 +401,14 @@ def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
         if wrong.any():
             row = int(wrong.argmax())
             actual = f"{words.format(number[row])} in row {row} at probe {label!r}"
-            yield Violation.at(f"output {future.name}", actual, expected)
+            hint = ""
+            if words.startswith("dot product"):
+                products_text = f"(rows[:, 3:] * {history_name}[-1:, 3:]).sum(1, keepdim=True)"
+                hint = line_hint(f"rows[:, 3:] = rows[:, 3:] * {products_text}.sign()")
+                hint = f"Give all quaternions the sign of the newest state's. {hint}"
+            elif words.startswith("quaternions are written in the order x y z w"):
+                hint = line_hint(_UNDOING_LINES["quaternions are written in the order x y z w"])
+            yield Violation.at(f"output {future.name}", actual, expected, hint=hint)
             return
 
 

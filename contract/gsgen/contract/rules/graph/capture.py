@@ -281,7 +281,10 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     for tensor in graph.outputs:
         location = f"output {tensor.name}"
         if graph.input(tensor.name):
-            yield Violation.at(location, "an input passed through", "the result of an operator")
+            is_declared = tensor.name in subject.output_names
+            hint = "" if is_declared else "Remove the output from the graph: it has no role."
+            actual, expected = "an input passed through", "the result of an operator"
+            yield Violation.at(location, actual, expected, hint=hint)
             continue
         if not graph.varies(tensor.name):
             continue

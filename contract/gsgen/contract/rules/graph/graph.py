@@ -36,12 +36,7 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
     elif not low <= opset <= high:
-        hint = ""
-        if opset > high:
-            hint = (
-                f"`gsgen fix MODEL -o COPY` declares operator set {high} if no operator of the model "
-                "changed since; else export at 18."
-            )
+        hint = _lower_opset_hint(subject, opset, high)
         yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}", hint=hint)
     if proto.ir_version > subject.target.ir:
         yield Violation.at(
@@ -51,6 +46,15 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
             hint="`gsgen fix MODEL -o COPY` sets the version that the operator set and the types of "
             "the weights need; if that is too high, export at operator set 18, in float32.",
         )
+
+
+def _lower_opset_hint(subject: InspectedModel, opset: int, high: int) -> str:
+    """Return the hint to declare a lower operator set if no operator of the model changed since."""
+    from gsgen.contract.model.versions import operators_changed_since
+
+    if opset < high or operators_changed_since(subject.file.proto, high):
+        return ""
+    return f"`gsgen fix MODEL -o COPY` declares operator set {high}: no operator changed since."
 
 
 @rule("GG002", Severity.ERROR, kinds=MANIFEST_KINDS)
@@ -103,7 +107,9 @@ def no_float64(subject: InspectedModel) -> Iterator[Violation]:
     """
     for tensor in subject.graph.tensors.values():
         if tensor.dtype == "float64":
-            yield Violation.at(f"tensor {tensor.name}", "float64", "float32 or float16")
+            is_weight = tensor.name in subject.graph.initializers
+            hint = f"Store the weight {tensor.name} in float32." if is_weight else ""
+            yield Violation.at(f"tensor {tensor.name}", "float64", "float32 or float16", hint=hint)
 
 
 @rule("GG015", Severity.ERROR, kinds=MANIFEST_KINDS, needs=("GG019",))

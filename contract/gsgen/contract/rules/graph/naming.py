@@ -40,9 +40,10 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
             if not is_plain_name(tensor.name):
-                yield Violation.at(
-                    f"{kind} {tensor.name!r}", "the name contains a blank", "a name without blanks"
-                )
+                name = "".join(char if is_plain_name(char) else "_" for char in tensor.name.strip())
+                hint = f"Rename {tensor.name!r} to {name!r}, in the graph and in the manifest."
+                where, actual = f"{kind} {tensor.name!r}", "the name contains a blank"
+                yield Violation.at(where, actual, "a name without blanks", hint=hint)
 
 
 @rule("GG014", Severity.WARNING, kinds=MANIFEST_KINDS)

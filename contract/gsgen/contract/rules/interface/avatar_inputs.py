@@ -11,6 +11,8 @@ from gsgen.contract.validation.rule import rule
 
 _SOUND_FIELDS = ("rate", "window", "hop")
 _MEL_ROLE = "mel"
+# Samples per second that networks of speech usually take.
+_USUAL_RATE = 16000
 _ARKIT_BLENDSHAPE_SET = "arkit-52"
 
 
@@ -93,9 +95,17 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
         required_fields = _SOUND_FIELDS if is_mel else _SOUND_FIELDS[:1]
         missing = [name for name in required_fields if name not in declared]
         if missing:
-            yield _input_violation(
-                entry, f"no {', '.join(missing)}", f"{', '.join(required_fields)} of the sound"
-            )
+            rate = entry.rate or _USUAL_RATE
+            usual = {
+                "rate": rate,
+                "window": rate // 40,
+                "hop": (entry.window or rate // 40) * 2 // 5,
+            }
+            path = subject.path_of(entry)
+            sets = " ".join(set_hint(f"{path}.{name}", int(usual[name])) for name in missing)
+            hint = f"Declare what the network was trained with, often this: {sets}"
+            expected = f"{', '.join(required_fields)} of the sound"
+            yield _input_violation(entry, f"no {', '.join(missing)}", expected, hint)
         elif is_mel and (entry.hop or 0) > (entry.window or 0):
             actual = f"hop {entry.hop} beyond the window {entry.window}"
             expected = "hop <= window, so that no sample is skipped"

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.model.graph import Tensor, static_dims
+from gsgen.contract.model.graph import Dims, Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.fields.roles import (
@@ -16,8 +16,9 @@ from gsgen.contract.spec.fields.roles import (
     matching_shape,
     shapes_of,
 )
+from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, set_hint, size_hint, take_hint
 from gsgen.contract.validation.rule import rule
 
 # Roles whose shape has a rule of its own.
@@ -27,11 +28,22 @@ _SHAPE_RULES = ("view", "projection", "time")
 def _wrong_shape(
     subject: InspectedModel, role: str, expected: tuple[int, ...]
 ) -> Iterator[Violation]:
-    for _, tensor in subject.inputs_of(role):
+    for entry, tensor in subject.inputs_of(role):
         if tensor.dims != expected:
-            yield Violation.at(
-                f"input {tensor.name}", f"shape {_shape_text(tensor)}", str(list(expected))
-            )
+            actual, hint = f"shape {_shape_text(tensor)}", _other_role_hint(subject, entry, tensor)
+            yield Violation.at(f"input {tensor.name}", actual, str(list(expected)), hint=hint)
+
+
+def _other_role_hint(subject: InspectedModel, entry: Input, tensor: Tensor) -> str:
+    """Return the hint to declare the role that an input's name is known for, if its shape fits."""
+    from gsgen.contract.model.manifest_inference import infer_manifest
+
+    dims = static_dims(tensor)
+    for known in infer_manifest(subject.graph, "").manifest.inputs:
+        fits = dims is not None and matching_shape(ROLES[known.role], dims, GENERATOR) is not None
+        if known.name == entry.name and known.role != entry.role and fits:
+            return set_hint(f"{subject.path_of(entry)}.role", known.role)
+    return ""
 
 
 def _shape_text(tensor: Tensor) -> str:
@@ -43,7 +55,7 @@ def _shape_text(tensor: Tensor) -> str:
 # For kinds of models whose manifests have no `depends_on`.
 _BAKED_INPUT_HINT = (
     "Export without detaching the input (numpy round trips, `.item()`, Python branches), or "
-    "remove it from the model and the manifest."
+    "remove it"
 )
 
 
@@ -124,40 +136,101 @@ def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
         entry = declared.get(tensor.name)
         location = f"input {tensor.name}"
         if entry is None:
-            yield Violation.at(
-                location, f"{tensor} without a role", "a declared role, or no such input"
-            )
+            actual, expected = f"{tensor} without a role", "a declared role, or no such input"
+            yield Violation.at(location, actual, expected, hint=_declare_hint(subject, tensor))
             continue
         role = ROLES[entry.role]
         if manifest and manifest.kind not in role.kinds:
-            yield Violation.at(
-                location, f"role {entry.role}", f"a role that a {manifest.kind} may take"
-            )
+            expected = f"a role that a {manifest.kind} may take"
+            hint = set_hint(f"{subject.path_of(entry)}.role", "control")
+            yield Violation.at(location, f"role {entry.role}", expected, hint=hint)
         if role.needs_range and entry.range is None:
             yield Violation.at(
                 location, f"role {entry.role} without a range", '"range": [low, high]'
             )
-        yield from _feed_faults(tensor, entry.role, manifest.kind if manifest else "")
+        yield from _feed_faults(subject, entry, tensor)
 
 
-def _feed_faults(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
+def _declare_hint(subject: InspectedModel, tensor: Tensor) -> str:
+    """Return the hint to declare an input by the role that its name is known for, or as a slider."""
+    from gsgen.contract.model.manifest_inference import infer_manifest
+    from gsgen.contract.spec.fields.json_schema import to_json
+
+    inferred = infer_manifest(subject.graph, "").manifest.inputs
+    known = [to_json(entry) for entry in inferred if entry.name == tensor.name]
+    free = {"name": tensor.name, "role": "control", "range": [0, 1], "default": "zeros"}
+    manifest = subject.manifest
+    if manifest is None or not (known or (static_dims(tensor) and tensor.dtype == "float32")):
+        return ""
+    return set_hint(f"inputs.{len(manifest.inputs)}", [*known, free][0])
+
+
+def _feed_faults(subject: InspectedModel, entry: Input, tensor: Tensor) -> Iterator[Violation]:
+    role, kind = entry.role, subject.manifest.kind if subject.manifest else ""
     if role in _SHAPE_RULES and kind == GENERATOR:
         return
     location = f"input {tensor.name}"
-    dims = static_dims(tensor)
+    dims, hint = static_dims(tensor), _fit_hint(tensor, role, kind)
     if dims is None:
         if kind != POST_PROCESS:
-            yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
+            actual = f"shape {_shape_text(tensor)}"
+            yield Violation.at(location, actual, "a static shape", hint=_size_hint(tensor))
         elif not _is_open_image(tensor, role):
             shapes = _shapes_text(ROLES[role], kind)
             expected = f"{shapes}, channels first; only height and width may be open, not the batch"
-            yield Violation.at(location, f"shape {_shape_text(tensor)}", expected)
+            yield Violation.at(location, f"shape {_shape_text(tensor)}", expected, hint=hint)
         return
     if matching_shape(ROLES[role], dims, kind) is None:
         shapes = _shapes_text(ROLES[role], kind)
-        yield Violation.at(
-            location, f"shape {_shape_text(tensor)}", f"{shapes}, as the role {role} has"
+        expected = f"{shapes}, as the role {role} has"
+        if hint and entry.shape is not None:
+            sizes = [
+                size for size in _fit(tensor.dims or (), role, kind)[0] if isinstance(size, int)
+            ]
+            hint += f" {set_hint(f'{subject.path_of(entry)}.shape', sizes)}"
+        yield Violation.at(location, f"shape {_shape_text(tensor)}", expected, hint=hint)
+
+
+# Joints of SMPL, the commonest body model.
+_USUAL_JOINTS = 24
+
+
+def _size_hint(tensor: Tensor) -> str:
+    """Return the hint to give the only symbolic size of an input, such as joints, a number."""
+    symbols = [dim for dim in tensor.dims or () if isinstance(dim, str)]
+    if len(symbols) != 1:
+        return ""
+    return f"{size_hint(symbols[0], _USUAL_JOINTS)} Or another one that the model takes."
+
+
+def _fit_hint(tensor: Tensor, role: str, kind: str) -> str:
+    """Return the hint to take an input as its role has it, and to fit it inside the model."""
+    sizes, line = _fit(tensor.dims or (), role, kind)
+    shape = f"[{', '.join(map(str, sizes))}]"
+    return take_hint(tensor.name, shape, line.replace("x", tensor.name)) if sizes else ""
+
+
+def _fit(dims: Dims, role: str, kind: str) -> tuple[tuple[int | str | None, ...], str]:
+    """Return the sizes that a role has in place of an input's, and the line that fits ``x``."""
+    for shape in shapes_of(ROLES[role], kind):
+        if len(dims) == len(shape) == 4 and dims[3] == shape[1] and dims[1] != shape[1]:
+            return (dims[0], shape[1], *dims[1:3]), "x = x.permute(0, 2, 3, 1)"
+        if len(dims) != len(shape):
+            continue
+        sizes = tuple(
+            dim if isinstance(expected, str) else expected
+            for expected, dim in zip(shape, dims, strict=True)
         )
+        axes = [axis for axis, dim in enumerate(dims) if dim != sizes[axis]]
+        size, has = (sizes[axes[0]], dims[axes[0]]) if len(axes) == 1 else (None, None)
+        columns = ":, " * axes[0] if axes else ""
+        if isinstance(has, str):
+            return sizes, ""
+        if isinstance(size, int) and isinstance(has, int) and has == size + 1:
+            return sizes, f"x = torch.cat([x, x[{columns}:1] * 0 + 1], {axes[0]})"
+        if isinstance(size, int) and isinstance(has, int) and has < size:
+            return sizes, f"x = x[{columns}:{has}]"
+    return (), ""
 
 
 def _shapes_text(role: Role, kind: str) -> str:
@@ -190,7 +263,7 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
     Hint:
         Guard the division or the norm that sees the zero, with a clamp under the square root. To
         hide such rows meanwhile, end on
-        `rows = torch.where(rows.isfinite().all(1, True), rows, 0)`.
+        `rows = torch.where((rows.abs() < 3e38).all(1, True), rows, 0)`.
     """
     if not emission.zeros:
         return
@@ -221,11 +294,13 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     for entry in subject.manifest.inputs if subject.manifest else ():
         expected = generator is None or generator.depends(entry)
         if entry.name not in used_names and expected:
+            path = subject.path_of(entry)
+            hint = f"{_BAKED_INPUT_HINT}: Remove input {entry.name} from the graph, and {path}."
             yield Violation.at(
                 f"input {entry.name}",
                 "no output depends on it",
                 "an input that some output depends on",
-                hint="" if generator is not None else _BAKED_INPUT_HINT,
+                hint="" if generator is not None else hint,
             )
 
 

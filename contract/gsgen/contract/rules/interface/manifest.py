@@ -1,13 +1,15 @@
 """Rules of the manifest (GM): it exists, is valid, and agrees with the graph."""
 
+import json
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
-from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
+from gsgen.contract.spec.fields.roles import GENERATOR, MANIFEST_KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput
+from gsgen.contract.spec.manifest_io import ManifestComplaint, parse
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CONTRACT_VERSION, UPGRADE_BY_VERSION
 from gsgen.contract.validation.finding import Violation, remove_hint, set_hint
@@ -83,7 +85,43 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     for manifest_complaint in subject.parsed.complaints if subject.parsed else ():
         if manifest_complaint.cause in ("schema", "syntax"):
             location = f"manifest {manifest_complaint.where}".strip()
-            yield Violation.at(location, manifest_complaint.actual, manifest_complaint.expected)
+            yield Violation.at(
+                location,
+                manifest_complaint.actual,
+                manifest_complaint.expected,
+                hint=_schema_hint(subject, manifest_complaint),
+            )
+
+
+def _schema_hint(subject: InspectedModel, complaint: ManifestComplaint) -> str:
+    """Return the hint to write what the graph says in a field's place; empty if it does not say."""
+    from gsgen.contract.model.manifest_inference import infer_manifest
+    from gsgen.contract.spec.fields.json_schema import to_json
+
+    text = subject.file.manifest_text or ""
+    if complaint.cause == "syntax" or complaint.expected == "a JSON object":
+        return ""
+    written, inferred = json.loads(text), to_json(infer_manifest(subject.graph, "").manifest)
+    missing = complaint.actual.removeprefix("no field ").strip("'")
+    keys = [key for key in complaint.where.split(".") if key]
+    keys += [missing] if missing != complaint.actual else []
+    outputs = written.get("outputs")
+    if isinstance(outputs, dict) and "gaussians" in outputs and written.get("kind") != GENERATOR:
+        return set_hint("kind", GENERATOR)
+    if written.get("kind") != GENERATOR or not keys:
+        return ""
+    if keys[0] not in inferred and len(keys) > 1:
+        return remove_hint(keys[0], f"correct {'.'.join(keys)}")
+    for key in keys:
+        if isinstance(written, list) and isinstance(inferred, list):
+            written = written[int(key)]
+            name = written.get("name") if isinstance(written, dict) else None
+            inferred = next((entry for entry in inferred if entry["name"] == name), None)
+        elif isinstance(inferred, dict):
+            written = written.get(key) if isinstance(written, dict) else None
+            inferred = inferred.get(key)
+    is_guess = '"space": "rgb"' in json.dumps(inferred)  # three channels may be RGB or SH
+    return "" if inferred is None or is_guess else set_hint(".".join(keys), inferred)
 
 
 @rule("GM003", Severity.ERROR, kinds=MANIFEST_KINDS)
@@ -128,11 +166,14 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
 def _name_faults(
     kind: str, declared: list[tuple[str, str]], known: list[str]
 ) -> Iterator[Violation]:
-    """Yield the declared names (with their paths) that the graph lacks, or that are repeated."""
+    """Yield the declared names (with their paths) that the graph lacks, or that are repeated.
+
+    The last comes first: who removes an entry of a list changes the paths of those behind it.
+    """
     names = [name for _, name in declared]
     free = [name for name in known if name not in names]
     faults = [n for i, n in enumerate(names) if n not in known or n in names[:i]]
-    for index, (path, name) in enumerate(declared):
+    for index, (path, name) in reversed(list(enumerate(declared))):
         paths = [p for p, n in declared if n == name and p.endswith(f".{free[0]}")] if free else []
         # One name is left for one fault: of several faults, it may mend any.
         is_clear = len(free) == len(faults) == 1
@@ -285,7 +326,8 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", actual, "min <= max on every axis")
     elif low == high and declared.capacity > 1:
         expected = "a box; these bounds are a point"
-        yield Violation.at("manifest bounds", actual, expected)
+        hint = remove_hint("bounds", "measure them over all times and poses, as the SDK does")
+        yield Violation.at("manifest bounds", actual, expected, hint=hint)
 
 
 @rule("GM015", Severity.WARNING, kinds=MANIFEST_KINDS)
@@ -300,7 +342,20 @@ def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.parsed is not None and subject.parsed.is_newer_version and subject.parsed.version:
         major, minor = subject.parsed.version
-        yield Violation.at("manifest contract", f"{major}.{minor}", f"{CONTRACT_VERSION} or older")
+        yield Violation.at(
+            "manifest contract",
+            f"{major}.{minor}",
+            f"{CONTRACT_VERSION} or older",
+            hint=_version_hint(subject),
+        )
+
+
+def _version_hint(subject: InspectedModel) -> str:
+    """Return the hint to declare the version of this validator if the manifest follows it."""
+    document = json.loads(subject.file.manifest_text or "")
+    complaints = parse(json.dumps({**document, "contract": CONTRACT_VERSION})).complaints
+    hint = f"Nothing in it is newer: {set_hint('contract', CONTRACT_VERSION)} Or update gsgen."
+    return "" if complaints else hint
 
 
 @rule("GM018", Severity.INFO, kinds=MANIFEST_KINDS)

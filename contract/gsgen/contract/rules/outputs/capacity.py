@@ -8,7 +8,7 @@ from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_mebibytes
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import COUNTED_ROW_RULES
 from gsgen.contract.validation.rule import rule
 
@@ -42,7 +42,17 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     padding = len(rows) - emission.count
     if padding >= _ROUNDING and not _is_wasteful(emission.count, len(rows)):
         actual = f"always {emission.count}, with {padding} rows behind it"
-        yield Violation.at(f"output {declared.name}", actual, f"a capacity of {emission.count}")
+        expected, hint = f"a capacity of {emission.count}", _shrink_hint(subject, emission.count)
+        yield Violation.at(f"output {declared.name}", actual, expected, hint=hint)
+
+
+def _shrink_hint(subject: InspectedModel, count: int) -> str:
+    """Return the hint to end all rows behind a count; empty for models with cells of rows."""
+    if subject.declared_cells is not None or not count:
+        return ""
+    tensors = [tensor for tensor in (subject.gaussians, subject.appearance) if tensor is not None]
+    lines = [line_hint(f"{tensor.name} = {tensor.name}[:{count}]") for tensor in tensors]
+    return " ".join([*lines, set_hint("outputs.gaussians.capacity", count)])
 
 
 @rule("GL004", Severity.WARNING, needs=COUNTED_ROW_RULES)
@@ -68,7 +78,8 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
         return
     if _is_wasteful(max(counts), capacity) and declared is not None:
         actual = f"at most {max(counts)} of {capacity} rows, at {len(counts)} probes"
-        yield Violation.at(f"output {declared.name}", actual, f"{_MIN_USED_SHARE:.0%} or more")
+        expected, hint = f"{_MIN_USED_SHARE:.0%} or more", _shrink_hint(subject, max(counts))
+        yield Violation.at(f"output {declared.name}", actual, expected, hint=hint)
 
 
 @rule("GL005", Severity.INFO, needs=("GM004", "GL001", "GL002"), limit="frame_bytes")

@@ -7,7 +7,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import POST_PROCESS, STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessManifest, TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation, set_hint
+from gsgen.contract.validation.finding import Violation, line_hint, set_hint
 from gsgen.contract.validation.rule import rule
 
 
@@ -41,14 +41,17 @@ def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _scale_hint(input_image: Tensor, output_image: Tensor, declared: int) -> str:
-    """Return the hint to declare the scale of the graph; empty if it has none, or is declared."""
+    """Return the hint to declare the scale of the graph or, without a scale, to resize the result."""
     sizes = (*(input_image.dims or ())[2:], *(output_image.dims or ())[2:])
     known = [size for size in sizes if isinstance(size, int)]
     if len(known) < 4 or not known[0] or not known[1]:
         return ""
     scale = known[2] // known[0]
     is_whole = scale >= 1 and known[2:] == [scale * known[0], scale * known[1]]
-    return set_hint("outputs.image.scale", scale) if is_whole and scale != declared else ""
+    if is_whole and scale != declared:
+        return set_hint("outputs.image.scale", scale)
+    size = f"({declared * known[0]}, {declared * known[1]})"
+    return line_hint(f"rows = torch.nn.functional.interpolate(rows, {size})")
 
 
 def _image(

@@ -8,7 +8,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW_LENGTH, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
-from gsgen.contract.validation.finding import Violation, line_hint, set_hint
+from gsgen.contract.validation.finding import Violation, line_hint, set_hint, size_hint
 from gsgen.contract.validation.gates import DECLARATION_RULES
 from gsgen.contract.validation.rule import rule
 
@@ -123,14 +123,28 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     first = _dim_of_axis(tensor, 0)
     if tensor is not None and not (isinstance(first, int) and first > 0):
         yield Violation.at(
-            f"output {tensor.name}", f"shape {tensor}", "a fixed, positive number of rows"
+            f"output {tensor.name}",
+            f"shape {tensor}",
+            "a fixed, positive number of rows",
+            hint=_rows_hint(subject, tensor.name),
         )
         return
     names = [part.name for part in (tensor, subject.appearance) if part is not None]
     for declared in subject.graph.declared_outputs:
         if declared.name in names and not all(isinstance(d, int) for d in declared.dims or ()):
             expected = "static sizes in place of symbols, although they can be inferred"
-            yield Violation.at(f"output {declared.name}", f"shape {declared}", expected)
+            hint = _rows_hint(subject, declared.name)
+            yield Violation.at(f"output {declared.name}", f"shape {declared}", expected, hint=hint)
+
+
+def _rows_hint(subject: InspectedModel, name: str) -> str:
+    """Return the hint to give an output's symbolic number of rows the declared capacity."""
+    declared = subject.declared_gaussians
+    symbols = [t.dims[0] for t in subject.graph.declared_outputs if t.name == name and t.dims]
+    if declared is None or subject.candidate is not None or not symbols:
+        return ""
+    symbol = symbols[0]
+    return size_hint(symbol, declared.capacity) if isinstance(symbol, str) and symbol else ""
 
 
 @rule("GO005", Severity.ERROR, needs=DECLARATION_RULES)
@@ -181,9 +195,17 @@ def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
             s for s, sizes in APPEARANCE_CHANNELS.items() if channels in sizes and channels > 4
         ]
         hint = ""
+        fitting = [
+            size for size in allowed_channels if isinstance(channels, int) and size < channels
+        ]
         if declared.space == "rgb" and others == ["sh"] and isinstance(channels, int):
             degree = set_hint("outputs.appearance.degree", degree_of(channels // 3))
             hint = f"{set_hint('outputs.appearance.space', 'sh')} {degree}"
+        elif fitting and isinstance(channels, int) and channels + 3 not in allowed_channels:
+            kept = fitting[0] if declared.space == "rgb" else fitting[-1]
+            hint = f"If the others are no colours: {line_hint(f'rows = rows[:, :{kept}]')}"
+            if declared.space == "sh" and declared.degree != degree_of(kept // 3):
+                hint += f" {set_hint('outputs.appearance.degree', degree_of(kept // 3))}"
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected, hint=hint)
 
 
@@ -278,6 +300,12 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.count is None:
         expected, hint = "one int32 [1] output, usually num_points", _role_hint(subject, "count")
+        rows, declared = subject.gaussians, subject.declared_gaussians
+        has_name = any(tensor.name == "num_points" for tensor in subject.graph.outputs)
+        if not hint and rows is not None and declared is not None and not has_name:
+            line = f"num_points = torch.full_like({rows.name}[:1, 0], {declared.capacity}).to(torch.int32)"
+            entry = set_hint("outputs.count", {"name": "num_points"})
+            hint = f"If all rows are live: {line_hint(line)} Return it, too. {entry}"
         yield Violation.at("outputs", "no row count", expected, hint=hint)
 
 

@@ -18,6 +18,9 @@ _COLOR_CHANNELS = (3, 4, 12, 27, 48)
 _SH_CHANNELS = 48
 
 
+_BOUND_NAMES = {"view": "camera", "projection": "proj", "time": "time"}
+
+
 def bound_role(name: str) -> str:
     """Return the input role that the Visionary viewer feeds to an input ``name``, or ""."""
     lower = name.lower()
@@ -92,7 +95,10 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
         viewer_role = bound_role(entry.name)
         if viewer_role != entry.role:
             actual = f"will receive the {viewer_role}" if viewer_role else "will never be fed"
-            yield Violation.at(f"input {entry.name}", actual, f"the {entry.role}")
+            name = _BOUND_NAMES.get(entry.role)
+            hint = f"Rename {entry.name!r} to {name!r}, in the graph and in the manifest."
+            where, expected = f"input {entry.name}", f"the {entry.role}"
+            yield Violation.at(where, actual, expected, hint=hint if name else "")
 
 
 @rule("TV104", Severity.ERROR, target=TARGET, needs=("GO006", "GO008", "GM005"))
@@ -104,8 +110,7 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         with the colours of neighbouring rows.
 
     Hint:
-        `gsgen fix MODEL -o COPY`, which pads colours; or emit SH of degree 3 or float16 RGB with four
-        channels.
+        Emit SH of degree 3 or float16 RGB with four channels.
     """
     tensor, declared = subject.appearance, subject.declared_appearance
     if tensor is None or declared is None or not tensor.dims:
@@ -121,7 +126,16 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, "48 channels", hint=hint)
     if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
         actual = f"RGB as {tensor.dtype} with {channels} channels"
-        yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
+        hint, gaussians = "", subject.gaussians
+        if channels in (3, 4) and gaussians is not None:
+            four = "torch.cat([rows, rows[:, :1] * 0 + 1], 1)" if channels == 3 else "rows"
+            lines = (
+                f"rows = {four}.to(torch.float16)",
+                f"{gaussians.name} = {gaussians.name}.to(torch.float16)",
+            )
+            dtype = set_hint("outputs.gaussians.dtype", "float16")
+            hint = " ".join([*map(line_hint, lines), dtype])
+        yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels", hint=hint)
 
 
 @rule("TV108", Severity.WARNING, target=TARGET, needs=("GM004",))

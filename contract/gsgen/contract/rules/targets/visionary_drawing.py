@@ -11,7 +11,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.targets.visionary import TARGET
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Violation, line_hint, set_hint
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -38,7 +38,20 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     rows = emission.gaussians
     if rows is not None and emission.count < len(rows) and len(rows) % _WORKGROUP_ROWS:
         expected = f"{-(-len(rows) // _WORKGROUP_ROWS) * _WORKGROUP_ROWS} rows"
-        yield Violation.at(emission.rows_label, f"{len(rows)} rows", expected)
+        subject, hint = emission.subject, ""
+        color, missing = emission.appearance, -len(rows) % _WORKGROUP_ROWS
+        if color is not None and subject.appearance is not None and emission.cells is None:
+            lines = []
+            for label, columns in (
+                (emission.rows_label, 10),
+                (emission.color_label, color.shape[1]),
+            ):
+                name = label.removeprefix("output ")
+                fill = f"torch.zeros({missing}, {columns}, dtype={name}.dtype)"
+                lines.append(line_hint(f"{name} = torch.cat([{name}, {fill}])"))
+            capacity = set_hint("outputs.gaussians.capacity", len(rows) + missing)
+            hint = " ".join([*lines, capacity])
+        yield Violation.at(emission.rows_label, f"{len(rows)} rows", expected, hint=hint)
 
 
 @rule("TV107", Severity.INFO, target=TARGET, needs=("GO010",))
@@ -122,7 +135,13 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.declared_appearance
     if declared is not None and declared.color_space != "srgb":
-        yield Violation.at(f"output {declared.name}", declared.color_space, "srgb")
+        curve = "1.055 * rows.clamp(0.0031308) ** 0.416666667 - 0.055"
+        line = line_hint(f"rows = torch.where(rows < 0.0031308, 12.92 * rows, {curve})")
+        srgb = set_hint("outputs.appearance.color_space", "srgb")
+        hint = f"Convert colours to sRGB before packing. {line} {srgb}"
+        hint = hint if declared.space == "rgb" else ""
+        where = f"output {declared.name}"
+        yield Violation.at(where, declared.color_space, "srgb", hint=hint)
 
 
 @rule("TV112", Severity.WARNING, target=TARGET, needs=("GM017",))

@@ -151,7 +151,9 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     if share > _MAX_LARGE_SHARE:
         actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE_COEFFICIENT:g}, up to {sh_detail.max():.3g}"
         expected = f"magnitudes up to {_LARGE_COEFFICIENT:g}"
-        yield Violation.at(emission.color_label, actual, expected, certainty="possible")
+        line = line_hint("rows[:, 3:] = rows[:, 3:] / 255")
+        hint = f"Scale the coefficients as they were trained. If they are bytes: {line}"
+        yield Violation.at(emission.color_label, actual, expected, certainty="possible", hint=hint)
 
 
 @rule("GV022", Severity.INFO, needs=APPEARANCE)

@@ -19,7 +19,7 @@ from gsgen.contract.spec.layout import (
 )
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX
-from gsgen.contract.validation.finding import Location, Violation, line_hint
+from gsgen.contract.validation.finding import Location, Violation, line_hint, set_hint, size_hint
 from gsgen.contract.validation.gates import CELL_RULES, MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
@@ -78,7 +78,11 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     has_row_count = isinstance(rows, int) and rows > 0
     if not (len(dims) == 2 and dims[1] == ROW_LENGTH and has_row_count):
         expected = f"[C, {ROW_LENGTH}] with a fixed C"
-        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
+        hint = line_hint("rows = rows[0]" if len(dims) == 3 and dims[0] == 1 else "")
+        declared, gaussians = subject.declared_cells, subject.declared_gaussians
+        if len(dims) == 2 and isinstance(rows, str) and rows and declared and gaussians:
+            hint = size_hint(rows, gaussians.capacity // declared.per_cell)
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected, hint=hint)
 
 
 @rule("GO021", Severity.ERROR, needs=("GO020", "GO002", "GO004"))
@@ -100,7 +104,16 @@ def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
     cells, capacity = tensor.dims[0], rows.dims[0]
     if isinstance(cells, int) and cells * declared.per_cell != capacity:
         actual = f"{cells} cells of {declared.per_cell} rows"
-        yield Violation.at(f"output {tensor.name}", actual, f"cells for {capacity} rows")
+        hint = ""
+        if isinstance(capacity, int) and capacity % declared.per_cell == 0 < capacity:
+            count = capacity // declared.per_cell
+            hint = f"If the last cells are empty: {line_hint(f'rows = rows[:{count}]')}"
+            if count > cells:
+                hint = ""
+        if not hint and isinstance(capacity, int) and cells and capacity % cells == 0:
+            hint = set_hint("outputs.cells.per_cell", capacity // cells)
+        expected = f"cells for {capacity} rows"
+        yield Violation.at(f"output {tensor.name}", actual, expected, hint=hint)
 
 
 def _finite_mask(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
@@ -218,7 +231,9 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
         return
     is_hidden_row = np.repeat(cells[:, VISIBILITY] == 0, _rows_per_cell(emission))[: emission.count]
     opacity = rows[: emission.count, OPACITY].astype(np.float32)
-    yield Violation.rows(
+    cells_name = emission.cells_label.removeprefix("output ")
+    mask = f"({cells_name}[:, 3] > 0).repeat_interleave({_rows_per_cell(emission)})"
+    violation = Violation.rows(
         Location(emission.rows_label, "opacity"),
         is_hidden_row & np.isfinite(opacity) & (opacity != 0),
         opacity,
@@ -226,6 +241,8 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
         checked=int(np.count_nonzero(is_hidden_row)),
         magnitude=opacity,
     )
+    hint = line_hint(f"rows[:, 3] = rows[:, 3] * {mask}[:{len(rows)}]")
+    yield replace(violation, hint=f"Multiply opacities by the mask that hides the cell. {hint}")
 
 
 @rule("GV030", Severity.ERROR, needs=(*CELL_RULES, "GO010", "GO011"), at_moments=True)
@@ -243,7 +260,10 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
         return
     visibility = emission.cells[:, VISIBILITY].astype(np.float32)
     empty_mask = ~_live_cells(emission)
-    yield Violation.rows(
+    declared, per_cell = emission.subject.declared_count, _rows_per_cell(emission)
+    first_rows = f"torch.arange({len(visibility)}) * {per_cell}"
+    mask = f"({first_rows} < {declared.name})" if declared else ""
+    violation = Violation.rows(
         Location(emission.cells_label, "visibility"),
         empty_mask & np.isfinite(visibility) & (visibility != 0),
         visibility,
@@ -251,6 +271,8 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
         checked=int(np.count_nonzero(empty_mask)),
         magnitude=visibility,
     )
+    hint = line_hint(f"rows[:, 3] = rows[:, 3] * {mask}" if mask else "")
+    yield replace(violation, hint=f"Fill cells behind the count with zeros. {hint}".strip())
 
 
 @rule("GV031", Severity.WARNING, needs=CELL_RULES)

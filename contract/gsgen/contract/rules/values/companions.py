@@ -39,7 +39,7 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
     Hint:
         Find the division, logarithm or norm that sees zero, and clamp before it; meanwhile, end on
-        `rows = rows.nan_to_num(0, 0, 0)`.
+        `rows = torch.where(rows.abs() < 3e38, rows, 0)`.
     """
     for name in probe_runs.subject.output_names:
         for label, value in _outputs(probe_runs, name):
@@ -134,6 +134,7 @@ _VALUE_PICTURES = 2
 # Of the picture's contrast, 0.12 are left by networks with random weights, 0.5 by one that darkens,
 # and 0.004 where 0 to 1 is taken for 0 to 255.
 _MIN_CONTRAST_SHARE = 0.02
+_BYTE = 255
 _TINY = 1e-12
 
 Picture = Float[np.ndarray, "3 h w"]
@@ -217,6 +218,8 @@ def picture_keeps_contrast(behaviour: Behaviour) -> Iterator[Violation]:
                 f"If the network takes bytes: {line_hint(f'{image} = {image} * 255', first=True)} "
                 f"{line_hint('rows = rows / 255')} Or declare the range that the network takes."
             )
+            if 0.5 < share * _BYTE < 2:
+                hint = f"The result is divided by 255 once more. {line_hint('rows = rows * 255')}"
             yield Violation.at(
                 where, actual, expected, certainty="possible", statistic=statistic, hint=hint
             )

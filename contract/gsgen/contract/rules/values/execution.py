@@ -8,7 +8,7 @@ from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, line_hint
 from gsgen.contract.validation.gates import RUNNABLE_MODEL_RULES
 from gsgen.contract.validation.rule import rule
 
@@ -34,7 +34,12 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
         wrong_shape = dims is not None and tuple(dims) != value.shape
         if wrong_shape or (tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype):
             actual = f"{value.dtype} {list(value.shape)}"
-            yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
+            hint = ""
+            missing = 0 if dims is None or value.ndim != 2 else int(dims[0]) - len(value)
+            if missing > 0 and dims is not None and len(dims) == 2 and dims[1] == value.shape[1]:
+                fill = f"torch.cat([rows, torch.zeros({missing}, {dims[1]}, dtype=rows.dtype)])"
+                hint = f"Fill up with rows of zeros: {line_hint(f'rows = {fill}[:{dims[0]}]')}"
+            yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared", hint=hint)
 
 
 @rule("GV025", Severity.ERROR, kinds=MANIFEST_KINDS, needs=(*RUNNABLE_MODEL_RULES, "GS004"))
@@ -77,4 +82,11 @@ def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
     numbers = [int(count.reshape(-1)[0]) for count in counts if count is not None and count.size]
     if numbers and not any(numbers):
         actual = f"count is 0 at all {len(numbers)} probes: nothing is drawn"
-        yield Violation.at(f"output {declared.name}", actual, "live rows at some probe")
+        rows, hint = probe_runs.subject.declared_gaussians, ""
+        samples = [probe_runs.execution.samples[run.sample].outputs for run in runs]
+        values = [outputs.get(rows.name) if rows else None for outputs in samples]
+        is_visible = all(v is not None and v.ndim == 2 and (v[:, 3:4] > 0).all() for v in values)
+        if rows is not None and is_visible:
+            line = f"{declared.name} = {declared.name} * 0 + {rows.capacity}"
+            hint = f"Return the number of live rows; all rows are visible: {line_hint(line)}"
+        yield Violation.at(f"output {declared.name}", actual, "live rows at some probe", hint=hint)

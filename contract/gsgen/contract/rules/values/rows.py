@@ -5,6 +5,7 @@ that one cause gives one finding.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
 
     Hint:
         Find the division, logarithm or norm that sees zero, and clamp before it; to hide such rows
-        meanwhile, end on `rows = torch.where(rows.isfinite().all(1, True), rows, 0)`. Where float16
+        meanwhile, end on `rows = torch.where((rows.abs() < 3e38).all(1, True), rows, 0)`. Where float16
         overflows, scale the scene or emit float32. The row and the probe are given.
     """
     yield from _nonfinite_violations(rows, rows.counted, rows.live_rows)
@@ -109,7 +110,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         from gsgen.contract.causes.activations import explain_opacity
 
         cause = explain_opacity(opacity[rows.counted & rows.finite])
-    yield Violation.rows(
+    violation = Violation.rows(
         Location(rows.emission.rows_label, "opacity"),
         invalid,
         opacity,
@@ -119,6 +120,9 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         cause=cause,
         can_be_zeroed=True,
     )
+    clamp = line_hint("rows[:, 3] = rows[:, 3].clamp(0, 1)")
+    general = f"Apply the activation once and before packing. If a network gives such: {clamp}"
+    yield replace(violation, hint=violation.hint or general)
 
 
 @rule("GV004", Severity.WARNING, needs=(*ORDERED_ROWS, "GV054"))
