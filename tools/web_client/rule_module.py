@@ -43,18 +43,40 @@ NOT_IN_PAGES: Final[Mapping[str, str]] = {
 }
 """Static rules that pages do not check, and the reason."""
 
+# Functions whose hints a page leaves out, for those of the rules.
+_HINTS: Final = [
+    f"gsgen.contract.rules.{name}_hint"
+    for name in (
+        "graph.capture._passed",
+        "graph.graph._lower_opset",
+        "graph.naming._clean",
+        "interface.avatar_inputs._sound",
+        "interface.inputs._baked",
+        "interface.inputs._declare",
+        "interface.inputs._fit",
+        "interface.inputs._other_role",
+        "interface.inputs._size",
+        "interface.manifest._schema",
+        "interface.manifest._version",
+        "outputs.companions._scale",
+        "outputs.outputs._count",
+        "outputs.outputs._cut",
+        "outputs.outputs._role",
+        "outputs.outputs._rows",
+        "targets.visionary._half",
+        "targets.visionary._name",
+        "targets.visionary_drawing._srgb",
+        "values.cells._count",
+        "values.cells._matrix",
+    )
+]
 # Functions that the client has in its own words.
 _OVERRIDES: Final = {
     "gsgen.contract.validation.finding.Violation.at": "py.violation",
     "gsgen.contract.spec.manifest_io._published_schema": "publishedSchema",
     "gsgen.contract.spec.fields.json_schema.from_json": "py.fromJson",
     "gsgen.contract.model.graph._infer_facts": "noFacts",
-    "gsgen.contract.rules.outputs.outputs._role_hint": "noHint",
-    "gsgen.contract.rules.graph.graph._lower_opset_hint": "noHint",
-    "gsgen.contract.rules.interface.inputs._declare_hint": "noHint",
-    "gsgen.contract.rules.interface.inputs._other_role_hint": "noHint",
-    "gsgen.contract.rules.interface.manifest._schema_hint": "noHint",
-    "gsgen.contract.rules.interface.manifest._version_hint": "noHint",
+    **dict.fromkeys(_HINTS, "noHint"),
     "gsgen.contract.model.graph._densify_sparse_tensor": "denseWeight",
     "gsgen.contract.file_kinds.text_kinds._decoded": "py.decoded",
     "builtins.int.from_bytes": "py.fromBytes",

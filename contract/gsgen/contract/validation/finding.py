@@ -10,6 +10,7 @@ __all__ = [
     "Violation",
     "line_hint",
     "remove_hint",
+    "rename_hint",
     "set_hint",
     "size_hint",
     "take_hint",
@@ -47,6 +48,11 @@ def line_hint(line: str, *, first: bool = False) -> str:
 def remove_hint(path: str, alternative: str) -> str:
     """Return the hint to remove a manifest field by its path, or to do something else."""
     return f"Remove {path}, or {alternative}."
+
+
+def rename_hint(name: str, new_name: str) -> str:
+    """Return the hint to give a tensor of the graph, and its entry in the manifest, another name."""
+    return f"Rename {name!r} to {new_name!r}, in the graph and in the manifest."
 
 
 def size_hint(symbol: str, size: int) -> str:

@@ -281,10 +281,12 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     for tensor in graph.outputs:
         location = f"output {tensor.name}"
         if graph.input(tensor.name):
-            is_declared = tensor.name in subject.output_names
-            hint = "" if is_declared else "Remove the output from the graph: it has no role."
-            actual, expected = "an input passed through", "the result of an operator"
-            yield Violation.at(location, actual, expected, hint=hint)
+            yield Violation.at(
+                location,
+                "an input passed through",
+                "the result of an operator",
+                hint=_passed_hint(subject, tensor.name),
+            )
             continue
         if not graph.varies(tensor.name):
             continue
@@ -296,6 +298,12 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
                 location = f"node {node.name or node.op_type} ({node.op_type})"
                 actual = "updates a tensor that others read"
                 yield Violation.at(location, actual, "Where or Concat")
+
+
+def _passed_hint(subject: InspectedModel, name: str) -> str:
+    """Return the hint to remove an input from the outputs that the manifest does not name."""
+    is_declared = name in subject.output_names
+    return "" if is_declared else "Remove the output from the graph: it has no role."
 
 
 def _does_copy_input(graph: Graph, node: NodeProto) -> bool:

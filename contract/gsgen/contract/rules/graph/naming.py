@@ -9,7 +9,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.fields.roles import MANIFEST_KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Violation, rename_hint
 from gsgen.contract.validation.rule import rule
 
 # A browser holds the file, the runtime's copy and the uploaded weights at the same time.
@@ -40,10 +40,14 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
             if not is_plain_name(tensor.name):
-                name = "".join(char if is_plain_name(char) else "_" for char in tensor.name.strip())
-                hint = f"Rename {tensor.name!r} to {name!r}, in the graph and in the manifest."
                 where, actual = f"{kind} {tensor.name!r}", "the name contains a blank"
+                hint = _clean_hint(tensor.name)
                 yield Violation.at(where, actual, "a name without blanks", hint=hint)
+
+
+def _clean_hint(name: str) -> str:
+    characters = (char if is_plain_name(char) else "_" for char in name.strip())
+    return rename_hint(name, "".join(characters))
 
 
 @rule("GG014", Severity.WARNING, kinds=MANIFEST_KINDS)

@@ -95,15 +95,7 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
         required_fields = _SOUND_FIELDS if is_mel else _SOUND_FIELDS[:1]
         missing = [name for name in required_fields if name not in declared]
         if missing:
-            rate = entry.rate or _USUAL_RATE
-            usual = {
-                "rate": rate,
-                "window": rate // 40,
-                "hop": (entry.window or rate // 40) * 2 // 5,
-            }
-            path = subject.path_of(entry)
-            sets = " ".join(set_hint(f"{path}.{name}", int(usual[name])) for name in missing)
-            hint = f"Declare what the network was trained with, often this: {sets}"
+            hint = _sound_hint(subject.path_of(entry), entry, missing)
             expected = f"{', '.join(required_fields)} of the sound"
             yield _input_violation(entry, f"no {', '.join(missing)}", expected, hint)
         elif is_mel and (entry.hop or 0) > (entry.window or 0):
@@ -111,6 +103,15 @@ def sound_described(subject: InspectedModel) -> Iterator[Violation]:
             expected = "hop <= window, so that no sample is skipped"
             hint = f'Declare "hop": {entry.window}, or a wider window, as the model was trained.'
             yield _input_violation(entry, actual, expected, hint)
+
+
+def _sound_hint(path: str, entry: Input, missing: list[str]) -> str:
+    """Return the hint to declare what is missing as it usually is: 25 ms every 10 ms."""
+    rate = entry.rate or _USUAL_RATE
+    window = entry.window or rate // 40
+    usual = {"rate": rate, "window": window, "hop": window * 2 // 5}
+    hints = " ".join(set_hint(f"{path}.{name}", int(usual[name])) for name in missing)
+    return f"Declare what the network was trained with, often this: {hints}"
 
 
 def _input_violation(entry: Input, actual: str, expected: str, hint: str = "") -> Violation:

@@ -52,13 +52,6 @@ def _shape_text(tensor: Tensor) -> str:
     return "[" + ", ".join("?" if dim is None else str(dim) for dim in tensor.dims) + "]"
 
 
-# For kinds of models whose manifests have no `depends_on`.
-_BAKED_INPUT_HINT = (
-    "Export without detaching the input (numpy round trips, `.item()`, Python branches), or "
-    "remove it"
-)
-
-
 @rule("GI001", Severity.ERROR, needs=("GM004",))
 def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `view` has the static shape [4, 4].
@@ -162,7 +155,8 @@ def _declare_hint(subject: InspectedModel, tensor: Tensor) -> str:
     manifest = subject.manifest
     if manifest is None or not (known or (static_dims(tensor) and tensor.dtype == "float32")):
         return ""
-    return set_hint(f"inputs.{len(manifest.inputs)}", [*known, free][0])
+    hint = set_hint(f"inputs.{len(manifest.inputs)}", [*known, free][0])
+    return hint if known else f"If people set it: {hint} Else bake it into the model before export."
 
 
 def _feed_faults(subject: InspectedModel, entry: Input, tensor: Tensor) -> Iterator[Violation]:
@@ -170,7 +164,7 @@ def _feed_faults(subject: InspectedModel, entry: Input, tensor: Tensor) -> Itera
     if role in _SHAPE_RULES and kind == GENERATOR:
         return
     location = f"input {tensor.name}"
-    dims, hint = static_dims(tensor), _fit_hint(tensor, role, kind)
+    dims, hint = static_dims(tensor), _fit_hint(subject, entry, tensor)
     if dims is None:
         if kind != POST_PROCESS:
             actual = f"shape {_shape_text(tensor)}"
@@ -183,11 +177,6 @@ def _feed_faults(subject: InspectedModel, entry: Input, tensor: Tensor) -> Itera
     if matching_shape(ROLES[role], dims, kind) is None:
         shapes = _shapes_text(ROLES[role], kind)
         expected = f"{shapes}, as the role {role} has"
-        if hint and entry.shape is not None:
-            sizes = [
-                size for size in _fit(tensor.dims or (), role, kind)[0] if isinstance(size, int)
-            ]
-            hint += f" {set_hint(f'{subject.path_of(entry)}.shape', sizes)}"
         yield Violation.at(location, f"shape {_shape_text(tensor)}", expected, hint=hint)
 
 
@@ -203,11 +192,15 @@ def _size_hint(tensor: Tensor) -> str:
     return f"{size_hint(symbols[0], _USUAL_JOINTS)} Or another one that the model takes."
 
 
-def _fit_hint(tensor: Tensor, role: str, kind: str) -> str:
+def _fit_hint(subject: InspectedModel, entry: Input, tensor: Tensor) -> str:
     """Return the hint to take an input as its role has it, and to fit it inside the model."""
-    sizes, line = _fit(tensor.dims or (), role, kind)
-    shape = f"[{', '.join(map(str, sizes))}]"
-    return take_hint(tensor.name, shape, line.replace("x", tensor.name)) if sizes else ""
+    kind = subject.manifest.kind if subject.manifest else ""
+    sizes, line = _fit(tensor.dims or (), entry.role, kind)
+    shape, name = f"[{', '.join(map(str, sizes))}]", tensor.name
+    hint = take_hint(name, shape, line.replace("x", name)) if sizes else ""
+    if hint and entry.shape is not None:
+        hint += f" {set_hint(f'{subject.path_of(entry)}.shape', list(sizes))}"
+    return hint
 
 
 def _fit(dims: Dims, role: str, kind: str) -> tuple[tuple[int | str | None, ...], str]:
@@ -294,14 +287,21 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     for entry in subject.manifest.inputs if subject.manifest else ():
         expected = generator is None or generator.depends(entry)
         if entry.name not in used_names and expected:
-            path = subject.path_of(entry)
-            hint = f"{_BAKED_INPUT_HINT}: Remove input {entry.name} from the graph, and {path}."
             yield Violation.at(
                 f"input {entry.name}",
                 "no output depends on it",
                 "an input that some output depends on",
-                hint="" if generator is not None else hint,
+                hint="" if generator is not None else _baked_hint(subject, entry),
             )
+
+
+def _baked_hint(subject: InspectedModel, entry: Input) -> str:
+    """Return the hint for a model of a kind whose manifest has no `depends_on`."""
+    removal = f"Remove input {entry.name} from the graph, and {subject.path_of(entry)}."
+    return (
+        "Export without detaching the input (numpy round trips, `.item()`, Python branches), or "
+        f"remove it: {removal}"
+    )
 
 
 @rule("GI012", Severity.INFO, kinds=MANIFEST_KINDS)

@@ -20,6 +20,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 # What a manifest may lack; other outputs are required.
 _OPTIONAL_PATHS = ("inputs.", "outputs.count", "outputs.cells")
+_POINT_HINT = "Remove bounds, or measure them over all times and poses, as the SDK does."
 _BAKED_INPUT_HINT = (
     "Exporters leave out inputs that nothing depends on: export without detaching it (numpy round "
     "trips, `.item()`, Python branches), or remove"
@@ -326,8 +327,7 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest bounds", actual, "min <= max on every axis")
     elif low == high and declared.capacity > 1:
         expected = "a box; these bounds are a point"
-        hint = remove_hint("bounds", "measure them over all times and poses, as the SDK does")
-        yield Violation.at("manifest bounds", actual, expected, hint=hint)
+        yield Violation.at("manifest bounds", actual, expected, hint=_POINT_HINT)
 
 
 @rule("GM015", Severity.WARNING, kinds=MANIFEST_KINDS)

@@ -6,6 +6,7 @@ from typing import Final
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW_LENGTH, WORD_BYTES
+from gsgen.contract.spec.manifest import AppearanceOutput
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.finding import Violation, line_hint, set_hint, size_hint
@@ -195,18 +196,25 @@ def appearance_channels(subject: InspectedModel) -> Iterator[Violation]:
             s for s, sizes in APPEARANCE_CHANNELS.items() if channels in sizes and channels > 4
         ]
         hint = ""
-        fitting = [
-            size for size in allowed_channels if isinstance(channels, int) and size < channels
-        ]
         if declared.space == "rgb" and others == ["sh"] and isinstance(channels, int):
             degree = set_hint("outputs.appearance.degree", degree_of(channels // 3))
             hint = f"{set_hint('outputs.appearance.space', 'sh')} {degree}"
-        elif fitting and isinstance(channels, int) and channels + 3 not in allowed_channels:
-            kept = fitting[0] if declared.space == "rgb" else fitting[-1]
-            hint = f"If the others are no colours: {line_hint(f'rows = rows[:, :{kept}]')}"
-            if declared.space == "sh" and declared.degree != degree_of(kept // 3):
-                hint += f" {set_hint('outputs.appearance.degree', degree_of(kept // 3))}"
+        elif isinstance(channels, int) and channels + 3 not in allowed_channels:
+            hint = _cut_hint(declared, channels)
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected, hint=hint)
+
+
+def _cut_hint(declared: AppearanceOutput, channels: int) -> str:
+    """Return the hint to leave out the channels beyond those of a format; empty for too few."""
+    fitting = [size for size in APPEARANCE_CHANNELS[declared.space] if size < channels]
+    if not fitting:
+        return ""
+    kept = fitting[0] if declared.space == "rgb" else fitting[-1]
+    hint = f"If the others are no colours: {line_hint(f'rows = rows[:, :{kept}]')}"
+    degree = degree_of(kept // 3)
+    if declared.space == "rgb" or declared.degree == degree:
+        return hint
+    return f"{hint} {set_hint('outputs.appearance.degree', degree)}"
 
 
 @rule("GO007", Severity.ERROR, needs=("GO004", "GO006"))
@@ -299,14 +307,20 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
         Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.
     """
     if subject.count is None:
-        expected, hint = "one int32 [1] output, usually num_points", _role_hint(subject, "count")
-        rows, declared = subject.gaussians, subject.declared_gaussians
-        has_name = any(tensor.name == "num_points" for tensor in subject.graph.outputs)
-        if not hint and rows is not None and declared is not None and not has_name:
-            line = f"num_points = torch.full_like({rows.name}[:1, 0], {declared.capacity}).to(torch.int32)"
-            entry = set_hint("outputs.count", {"name": "num_points"})
-            hint = f"If all rows are live: {line_hint(line)} Return it, too. {entry}"
+        expected = "one int32 [1] output, usually num_points"
+        hint = _role_hint(subject, "count") or _count_hint(subject)
         yield Violation.at("outputs", "no row count", expected, hint=hint)
+
+
+def _count_hint(subject: InspectedModel) -> str:
+    """Return the hint to return the capacity as the count; empty if an output has its name."""
+    rows, declared = subject.gaussians, subject.declared_gaussians
+    has_name = any(tensor.name == "num_points" for tensor in subject.graph.outputs)
+    if rows is None or declared is None or has_name:
+        return ""
+    count = f"torch.full_like({rows.name}[:1, 0], {declared.capacity}).to(torch.int32)"
+    entry = set_hint("outputs.count", {"name": "num_points"})
+    return f"If all rows are live: {line_hint(f'num_points = {count}')} Return it, too. {entry}"
 
 
 @rule("GO011", Severity.ERROR, needs=("GO010",))

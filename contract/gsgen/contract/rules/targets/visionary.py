@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation, line_hint, set_hint
+from gsgen.contract.validation.finding import Violation, line_hint, rename_hint, set_hint
 from gsgen.contract.validation.rule import rule
 
 # The name of the viewer's target.
@@ -95,10 +95,14 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
         viewer_role = bound_role(entry.name)
         if viewer_role != entry.role:
             actual = f"will receive the {viewer_role}" if viewer_role else "will never be fed"
-            name = _BOUND_NAMES.get(entry.role)
-            hint = f"Rename {entry.name!r} to {name!r}, in the graph and in the manifest."
+            hint = _name_hint(entry.name, entry.role)
             where, expected = f"input {entry.name}", f"the {entry.role}"
-            yield Violation.at(where, actual, expected, hint=hint if name else "")
+            yield Violation.at(where, actual, expected, hint=hint)
+
+
+def _name_hint(name: str, role: str) -> str:
+    new_name = _BOUND_NAMES.get(role)
+    return rename_hint(name, new_name) if new_name else ""
 
 
 @rule("TV104", Severity.ERROR, target=TARGET, needs=("GO006", "GO008", "GM005"))
@@ -126,16 +130,18 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(f"output {tensor.name}", actual, "48 channels", hint=hint)
     if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
         actual = f"RGB as {tensor.dtype} with {channels} channels"
-        hint, gaussians = "", subject.gaussians
-        if channels in (3, 4) and gaussians is not None:
-            four = "torch.cat([rows, rows[:, :1] * 0 + 1], 1)" if channels == 3 else "rows"
-            lines = (
-                f"rows = {four}.to(torch.float16)",
-                f"{gaussians.name} = {gaussians.name}.to(torch.float16)",
-            )
-            dtype = set_hint("outputs.gaussians.dtype", "float16")
-            hint = " ".join([*map(line_hint, lines), dtype])
+        hint = _half_hint(subject, channels)
         yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels", hint=hint)
+
+
+def _half_hint(subject: InspectedModel, channels: int | str | None) -> str:
+    """Return the hint to pad RGB to four channels, and to cast both outputs to float16."""
+    rows = subject.gaussians
+    if channels not in (3, 4) or rows is None:
+        return ""
+    four = "torch.cat([rows, rows[:, :1] * 0 + 1], 1)" if channels == 3 else "rows"
+    lines = f"rows = {four}.to(torch.float16)", f"{rows.name} = {rows.name}.to(torch.float16)"
+    return " ".join([*map(line_hint, lines), set_hint("outputs.gaussians.dtype", "float16")])
 
 
 @rule("TV108", Severity.WARNING, target=TARGET, needs=("GM004",))

@@ -135,13 +135,16 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.declared_appearance
     if declared is not None and declared.color_space != "srgb":
-        curve = "1.055 * rows.clamp(0.0031308) ** 0.416666667 - 0.055"
-        line = line_hint(f"rows = torch.where(rows < 0.0031308, 12.92 * rows, {curve})")
-        srgb = set_hint("outputs.appearance.color_space", "srgb")
-        hint = f"Convert colours to sRGB before packing. {line} {srgb}"
-        hint = hint if declared.space == "rgb" else ""
-        where = f"output {declared.name}"
+        where, hint = f"output {declared.name}", _srgb_hint(declared.space)
         yield Violation.at(where, declared.color_space, "srgb", hint=hint)
+
+
+def _srgb_hint(space: str) -> str:
+    """Return the hint to encode RGB; SH have no sRGB curve."""
+    curve = "1.055 * rows.clamp(0.0031308) ** 0.416666667 - 0.055"
+    line = line_hint(f"rows = torch.where(rows < 0.0031308, 12.92 * rows, {curve})")
+    srgb = set_hint("outputs.appearance.color_space", "srgb")
+    return f"Convert colours to sRGB before packing. {line} {srgb}" if space == "rgb" else ""
 
 
 @rule("TV112", Severity.WARNING, target=TARGET, needs=("GM017",))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract._array_types import Bool, Float
+from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.geometry import PSD_FLOOR, PSD_SLACK, smallest_eigenvalue
@@ -78,11 +79,23 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     has_row_count = isinstance(rows, int) and rows > 0
     if not (len(dims) == 2 and dims[1] == ROW_LENGTH and has_row_count):
         expected = f"[C, {ROW_LENGTH}] with a fixed C"
-        hint = line_hint("rows = rows[0]" if len(dims) == 3 and dims[0] == 1 else "")
-        declared, gaussians = subject.declared_cells, subject.declared_gaussians
-        if len(dims) == 2 and isinstance(rows, str) and rows and declared and gaussians:
-            hint = size_hint(rows, gaussians.capacity // declared.per_cell)
+        hint = _matrix_hint(subject, tensor)
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected, hint=hint)
+
+
+def _matrix_hint(subject: InspectedModel, tensor: Tensor) -> str:
+    """Return the hint to drop a batch axis, or to give a symbolic number of cells its size."""
+    dims, declared, gaussians = (
+        tensor.dims or (),
+        subject.declared_cells,
+        subject.declared_gaussians,
+    )
+    if len(dims) == 3 and dims[0] == 1:
+        return line_hint("rows = rows[0]")
+    symbol = dims[0] if len(dims) == 2 else None
+    if not isinstance(symbol, str) or not symbol or declared is None or gaussians is None:
+        return ""
+    return size_hint(symbol, gaussians.capacity // declared.per_cell)
 
 
 @rule("GO021", Severity.ERROR, needs=("GO020", "GO002", "GO004"))
@@ -104,16 +117,20 @@ def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
     cells, capacity = tensor.dims[0], rows.dims[0]
     if isinstance(cells, int) and cells * declared.per_cell != capacity:
         actual = f"{cells} cells of {declared.per_cell} rows"
-        hint = ""
-        if isinstance(capacity, int) and capacity % declared.per_cell == 0 < capacity:
-            count = capacity // declared.per_cell
-            hint = f"If the last cells are empty: {line_hint(f'rows = rows[:{count}]')}"
-            if count > cells:
-                hint = ""
-        if not hint and isinstance(capacity, int) and cells and capacity % cells == 0:
-            hint = set_hint("outputs.cells.per_cell", capacity // cells)
+        hint = _count_hint(cells, declared.per_cell, capacity)
         expected = f"cells for {capacity} rows"
         yield Violation.at(f"output {tensor.name}", actual, expected, hint=hint)
+
+
+def _count_hint(cells: int, per_cell: int, capacity: int | str | None) -> str:
+    """Return the hint to leave out cells beyond the rows, or to declare other rows per cell."""
+    if not isinstance(capacity, int) or not capacity or not cells:
+        return ""
+    if capacity % per_cell == 0 and capacity // per_cell < cells:
+        line = line_hint(f"rows = rows[:{capacity // per_cell}]")
+        return f"If the last cells are empty: {line}"
+    is_even = capacity % cells == 0
+    return set_hint("outputs.cells.per_cell", capacity // cells) if is_even else ""
 
 
 def _finite_mask(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:

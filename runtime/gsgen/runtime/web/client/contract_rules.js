@@ -621,7 +621,7 @@ function released$upgrades(document) {
 return (py.union(document, py.dict([["contract", "1.0"]])));
 }
 function* bounds_are_a_box$manifest(subject) {
-  let actual, declared, expected, generator, high, hint, low;
+  let actual, declared, expected, generator, high, low;
 [generator, declared] = [subject.generator, subject.declared_gaussians];
 if (((generator == null) || (generator.bounds == null) || (declared == null))) {
 return;
@@ -633,8 +633,7 @@ yield py.violation("manifest bounds", actual, "min <= max on every axis");
 } else {
 if (((py.eq(low, high)) && (py.compare(declared.capacity, 1) > 0))) {
 expected = "a box; these bounds are a point";
-hint = remove_hint$finding("bounds", "measure them over all times and poses, as the SDK does");
-yield py.violation("manifest bounds", actual, expected, undefined, undefined, hint);
+yield py.violation("manifest bounds", actual, expected, undefined, undefined, "Remove bounds, or measure them over all times and poses, as the SDK does.");
 }
 }
 }
@@ -835,17 +834,17 @@ yield* py.iter(_feed_faults$inputs(subject, entry, tensor));
 }
 }
 function* _feed_faults$inputs(subject, entry, tensor) {
-  let actual, dims, expected, hint, kind, location, role, shapes, sizes;
+  let actual, dims, expected, hint, kind, location, role, shapes;
 [role, kind] = [entry.role, (py.bool(subject.manifest) ? subject.manifest.kind : "")];
 if (((py.contains(_SHAPE_RULES$9, role)) && (py.eq(kind, "gaussian-generator")))) {
 return;
 }
 location = `input ${py.str(tensor.name)}`;
-[dims, hint] = [static_dims$graph(tensor), _fit_hint$inputs(tensor, role, kind)];
+[dims, hint] = [static_dims$graph(tensor), noHint(subject, entry, tensor)];
 if ((dims == null)) {
 if ((!py.eq(kind, "post-process"))) {
 actual = `shape ${py.str(_shape_text$inputs(tensor))}`;
-yield py.violation(location, actual, "a static shape", undefined, undefined, _size_hint$inputs(tensor));
+yield py.violation(location, actual, "a static shape", undefined, undefined, noHint(tensor));
 } else {
 if (!py.bool(_is_open_image$inputs(tensor, role))) {
 shapes = _shapes_text$inputs(py.item(ROLES$4, role), kind);
@@ -858,10 +857,6 @@ return;
 if ((matching_shape$roles(py.item(ROLES$4, role), dims, kind) == null)) {
 shapes = _shapes_text$inputs(py.item(ROLES$4, role), kind);
 expected = `${py.str(shapes)}, as the role ${py.str(role)} has`;
-if ((py.bool(hint) && (entry.shape != null))) {
-sizes = [...(function* () { for (const size of py.iter(py.item(_fit$inputs(py.or(tensor.dims, () => []), role, kind), 0))) if (py.isinstance(size, py.int)) yield size; })()];
-hint = (py.plus(hint, ` ${py.str(set_hint$finding(`${py.str(subject.path_of(entry))}.shape`, sizes))}`));
-}
 yield py.violation(location, `shape ${py.str(_shape_text$inputs(tensor))}`, expected, undefined, undefined, hint);
 }
 }
@@ -872,49 +867,6 @@ return null;
 }
 sizes = [...(function* () { for (const dim of py.iter(tensor.dims)) if ((py.isinstance(dim, py.int) && (py.compare(dim, 0) > 0))) yield dim; })()];
 return ((py.eq(py.len(sizes), py.len(tensor.dims))) ? py.list(sizes) : null);
-}
-function _fit_hint$inputs(tensor, role, kind) {
-  let line, shape, sizes;
-[sizes, line] = _fit$inputs(py.or(tensor.dims, () => []), role, kind);
-shape = `[${py.str(py.list(py.map(py.str, sizes)).join(", "))}]`;
-return (py.bool(sizes) ? take_hint$finding(tensor.name, shape, line.replace("x", tensor.name)) : "");
-}
-function _fit$inputs(dims, role, kind) {
-  let axes, columns, has, shape, size, sizes;
-for (shape of py.iter(shapes_of$roles(py.item(ROLES$4, role), kind))) {
-if (((py.eq(py.len(dims), py.len(shape)) && py.eq(py.len(shape), 4)) && (py.eq(py.item(dims, 3), py.item(shape, 1))) && (!py.eq(py.item(dims, 1), py.item(shape, 1))))) {
-return [[py.item(dims, 0), py.item(shape, 1), ...py.iter(py.slice(dims, 1, 3))], "x = x.permute(0, 2, 3, 1)"];
-}
-if ((!py.eq(py.len(dims), py.len(shape)))) {
-continue;
-}
-sizes = py.list((function* () { for (const [expected, dim] of py.iter(py.zip(shape, dims))) yield (py.isinstance(expected, py.str) ? dim : expected); })());
-axes = [...(function* () { for (const [axis, dim] of py.iter(py.list(dims).entries())) if ((!py.eq(dim, py.item(sizes, axis)))) yield axis; })()];
-[size, has] = ((py.eq(py.len(axes), 1)) ? [py.item(sizes, py.item(axes, 0)), py.item(dims, py.item(axes, 0))] : [null, null]);
-columns = (py.bool(axes) ? (":, " * py.item(axes, 0)) : "");
-if (py.isinstance(has, py.str)) {
-return [sizes, ""];
-}
-if ((py.isinstance(size, py.int) && py.isinstance(has, py.int) && (py.eq(has, (py.plus(size, 1)))))) {
-return [sizes, `x = torch.cat([x, x[${py.str(columns)}:1] * 0 + 1], ${py.str(py.item(axes, 0))})`];
-}
-if ((py.isinstance(size, py.int) && py.isinstance(has, py.int) && (py.compare(has, size) < 0))) {
-return [sizes, `x = x[${py.str(columns)}:${py.str(has)}]`];
-}
-}
-return [[], ""];
-}
-function shapes_of$roles(entry, kind) {
-return py.get(_SHAPES_BY_KIND$10, [entry.name, kind], entry.shapes);
-}
-function take_hint$finding(name, shape, line = "") {
-return `Take ${py.str(name)} as ${py.str(shape)}. ${py.str(line_hint$finding(line, true))}`.trim();
-}
-function line_hint$finding(line, first = false) {
-  let _, bracket, target;
-[target, bracket, _] = py.partition(py.item(py.partition(line, " = "), 0), "[");
-line = (py.bool(bracket) ? `${py.str(target)} = ${py.str(target)}.clone(); ${py.str(line)}` : line);
-return (py.bool(line) ? `${py.str((py.bool(first) ? "Begin" : "End"))} \`forward\` on \`${py.str(line)}\`.` : "");
 }
 function _is_open_image$inputs(tensor, role) {
   let sizes;
@@ -927,16 +879,8 @@ return py.list((function* () { for (const shape of py.iter(py.item(ROLES$4, role
 function _shapes_text$inputs(role, kind) {
 return py.list((function* () { for (const shape of py.iter(shapes_of$roles(role, kind))) yield `[${py.str(py.list(py.map(py.str, shape)).join(", "))}]`; })()).join(" or ");
 }
-function _size_hint$inputs(tensor) {
-  let symbols;
-symbols = [...(function* () { for (const dim of py.iter(py.or(tensor.dims, () => []))) if (py.isinstance(dim, py.str)) yield dim; })()];
-if ((!py.eq(py.len(symbols), 1))) {
-return "";
-}
-return `${py.str(size_hint$finding(py.item(symbols, 0), 24))} Or another one that the model takes.`;
-}
-function size_hint$finding(symbol, size) {
-return `\`gsgen fix MODEL --size ${py.str(symbol)}=${py.str(size)} -o COPY\` gives ${py.str(symbol)} this size.`;
+function shapes_of$roles(entry, kind) {
+return py.get(_SHAPES_BY_KIND$10, [entry.name, kind], entry.shapes);
 }
 function matching_shape$roles(entry, dims, kind = "") {
   let shape;
@@ -954,7 +898,7 @@ function matches_shape$roles(shape, dims) {
 return py.and((py.eq(py.len(shape), py.len(dims))), () => py.list((function* () { for (const [expected, dim] of py.iter(py.zip(shape, dims))) yield py.or(py.isinstance(expected, py.str), () => (py.eq(expected, dim))); })()).every(py.bool));
 }
 function* inputs_reach_outputs$inputs(subject) {
-  let entry, expected, generator, graph, hint, path, tensor, used_names;
+  let entry, expected, generator, graph, tensor, used_names;
 [graph, generator] = [subject.graph, subject.generator];
 used_names = py.set();
 for (tensor of py.iter(graph.outputs)) {
@@ -963,9 +907,7 @@ used_names = (py.union(used_names, py.item(graph.ancestors(tensor.name), 0)));
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 expected = py.or((generator == null), () => generator.depends(entry));
 if (((!py.contains(used_names, entry.name)) && py.bool(expected))) {
-path = subject.path_of(entry);
-hint = `${py.str("Export without detaching the input (numpy round trips, `.item()`, Python branches), or remove it")}: Remove input ${py.str(entry.name)} from the graph, and ${py.str(path)}.`;
-yield py.violation(`input ${py.str(entry.name)}`, "no output depends on it", "an input that some output depends on", undefined, undefined, ((generator != null) ? "" : hint));
+yield py.violation(`input ${py.str(entry.name)}`, "no output depends on it", "an input that some output depends on", undefined, undefined, ((generator != null) ? "" : noHint(subject, entry)));
 }
 }
 }
@@ -1219,8 +1161,14 @@ yield _input_violation$avatar_inputs(entry, `range ${py.str([low, high])}`, "wit
 }
 }
 }
+function line_hint$finding(line, first = false) {
+  let _, bracket, target;
+[target, bracket, _] = py.partition(py.item(py.partition(line, " = "), 0), "[");
+line = (py.bool(bracket) ? `${py.str(target)} = ${py.str(target)}.clone(); ${py.str(line)}` : line);
+return (py.bool(line) ? `${py.str((py.bool(first) ? "Begin" : "End"))} \`forward\` on \`${py.str(line)}\`.` : "");
+}
 function* sound_described$avatar_inputs(subject) {
-  let actual, declared, entry, expected, hint, is_mel, missing, path, rate, required_fields, sets, shape, usual;
+  let actual, declared, entry, expected, hint, is_mel, missing, required_fields, shape;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 declared = [...(function* () { for (const name of py.iter(_SOUND_FIELDS$17)) if ((entry[name] != null)) yield name; })()];
 if ((!py.eq(entry.role, "audio"))) {
@@ -1234,11 +1182,7 @@ is_mel = py.or((py.eq(entry.convention, "mel")), () => py.and((shape != null), (
 required_fields = (py.bool(is_mel) ? _SOUND_FIELDS$17 : py.slice(_SOUND_FIELDS$17, null, 1));
 missing = [...(function* () { for (const name of py.iter(required_fields)) if ((!py.contains(declared, name))) yield name; })()];
 if (py.bool(missing)) {
-rate = py.or(entry.rate, () => 16000);
-usual = py.dict([["rate", rate], ["window", (Math.floor(rate / 40))], ["hop", (Math.floor((py.or(entry.window, () => (Math.floor(rate / 40))) * 2) / 5))]]);
-path = subject.path_of(entry);
-sets = py.list((function* () { for (const name of py.iter(missing)) yield set_hint$finding(`${py.str(path)}.${py.str(name)}`, py.int(py.item(usual, name))); })()).join(" ");
-hint = `Declare what the network was trained with, often this: ${py.str(sets)}`;
+hint = noHint(subject.path_of(entry), entry, missing);
 expected = `${py.str(py.list(required_fields).join(", "))} of the sound`;
 yield _input_violation$avatar_inputs(entry, `no ${py.str(py.list(missing).join(", "))}`, expected, hint);
 } else {
@@ -1396,27 +1340,17 @@ function* capacity_static$outputs(subject) {
 tensor = subject.gaussians;
 first = _dim_of_axis$outputs(tensor, 0);
 if (((tensor != null) && !(py.isinstance(first, py.int) && (py.compare(first, 0) > 0)))) {
-yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, "a fixed, positive number of rows", undefined, undefined, _rows_hint$outputs(subject, tensor.name));
+yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, "a fixed, positive number of rows", undefined, undefined, noHint(subject, tensor.name));
 return;
 }
 names = [...(function* () { for (const part of py.iter([tensor, subject.appearance])) if ((part != null)) yield part.name; })()];
 for (declared of py.iter(subject.graph.declared_outputs)) {
 if (((py.contains(names, declared.name)) && !py.list((function* () { for (const d of py.iter(py.or(declared.dims, () => []))) yield py.isinstance(d, py.int); })()).every(py.bool))) {
 expected = "static sizes in place of symbols, although they can be inferred";
-hint = _rows_hint$outputs(subject, declared.name);
+hint = noHint(subject, declared.name);
 yield py.violation(`output ${py.str(declared.name)}`, `shape ${py.str(declared)}`, expected, undefined, undefined, hint);
 }
 }
-}
-function _rows_hint$outputs(subject, name) {
-  let declared, symbol, symbols;
-declared = subject.declared_gaussians;
-symbols = [...(function* () { for (const t of py.iter(subject.graph.declared_outputs)) if (((py.eq(t.name, name)) && py.bool(t.dims))) yield py.item(t.dims, 0); })()];
-if (((declared == null) || (subject.candidate != null) || !py.bool(symbols))) {
-return "";
-}
-symbol = py.item(symbols, 0);
-return ((py.isinstance(symbol, py.str) && py.bool(symbol)) ? size_hint$finding(symbol, declared.capacity) : "");
 }
 function* appearance_declared$outputs(subject) {
   let expected;
@@ -1426,7 +1360,7 @@ yield py.violation("outputs", "no appearance", expected, undefined, undefined, n
 }
 }
 function* appearance_channels$outputs(subject) {
-  let allowed_channels, channels, declared, degree, expected, fitting, hint, kept, others, tensor;
+  let allowed_channels, channels, declared, degree, expected, hint, others, tensor;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null))) {
 return;
@@ -1444,17 +1378,12 @@ expected = (py.plus(expected, "; reshape the last two axes into one"));
 }
 others = [...(function* () { for (const [s, sizes] of py.iter(APPEARANCE_CHANNELS$21.entries())) if (((py.contains(sizes, channels)) && (py.compare(channels, 4) > 0))) yield s; })()];
 hint = "";
-fitting = [...(function* () { for (const size of py.iter(allowed_channels)) if ((py.isinstance(channels, py.int) && (py.compare(size, channels) < 0))) yield size; })()];
 if (((py.eq(declared.space, "rgb")) && (py.eq(others, ["sh"])) && py.isinstance(channels, py.int))) {
 degree = set_hint$finding("outputs.appearance.degree", degree_of$spherical_harmonics((Math.floor(channels / 3))));
 hint = `${py.str(set_hint$finding("outputs.appearance.space", "sh"))} ${py.str(degree)}`;
 } else {
-if ((py.bool(fitting) && py.isinstance(channels, py.int) && (!py.contains(allowed_channels, (py.plus(channels, 3)))))) {
-kept = ((py.eq(declared.space, "rgb")) ? py.item(fitting, 0) : py.item(fitting, (-1)));
-hint = `If the others are no colours: ${py.str(line_hint$finding(`rows = rows[:, :${py.str(kept)}]`))}`;
-if (((py.eq(declared.space, "sh")) && (!py.eq(declared.degree, degree_of$spherical_harmonics((Math.floor(kept / 3))))))) {
-hint = (py.plus(hint, ` ${py.str(set_hint$finding("outputs.appearance.degree", degree_of$spherical_harmonics((Math.floor(kept / 3)))))}`));
-}
+if ((py.isinstance(channels, py.int) && (!py.contains(allowed_channels, (py.plus(channels, 3)))))) {
+hint = noHint(declared, channels);
 }
 }
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
@@ -1497,16 +1426,10 @@ yield py.violation(`output ${py.str(color.name)}`, py.str(color.dtype), `${py.st
 }
 }
 function* count_declared$outputs(subject) {
-  let declared, entry, expected, has_name, hint, line, rows;
+  let expected, hint;
 if ((subject.count == null)) {
-[expected, hint] = ["one int32 [1] output, usually num_points", noHint(subject, "count")];
-[rows, declared] = [subject.gaussians, subject.declared_gaussians];
-has_name = py.list((function* () { for (const tensor of py.iter(subject.graph.outputs)) yield (py.eq(tensor.name, "num_points")); })()).some(py.bool);
-if ((!py.bool(hint) && (rows != null) && (declared != null) && !py.bool(has_name))) {
-line = `num_points = torch.full_like(${py.str(rows.name)}[:1, 0], ${py.str(declared.capacity)}).to(torch.int32)`;
-entry = set_hint$finding("outputs.count", py.dict([["name", "num_points"]]));
-hint = `If all rows are live: ${py.str(line_hint$finding(line))} Return it, too. ${py.str(entry)}`;
-}
+expected = "one int32 [1] output, usually num_points";
+hint = py.or(noHint(subject, "count"), () => noHint(subject));
 yield py.violation("outputs", "no row count", expected, undefined, undefined, hint);
 }
 }
@@ -1597,7 +1520,7 @@ for ([_, input_image] of py.iter(subject.inputs_of("image"))) {
 if (!py.bool(_sizes_agree$companions(input_image, tensor, declared.scale))) {
 times = ((py.eq(declared.scale, 1)) ? "" : `${py.str(declared.scale)} times the size of `);
 expected = `${py.str(times)}${py.str(input_image)}, as ${py.str(input_image.name)} has, with 3 or 4 channels`;
-hint = _scale_hint$companions(input_image, tensor, declared.scale);
+hint = noHint(input_image, tensor, declared.scale);
 yield py.violation(location, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
 }
 }
@@ -1620,21 +1543,6 @@ sizes = (py.plus(sizes, [...(function* () { for (const a of py.iter([2, 3])) yie
 known = py.list((function* () { for (const [k, x, y] of py.iter(sizes)) if ((py.isinstance(x, py.int) && py.isinstance(y, py.int))) yield (py.eq((k * x), y)); })()).every(py.bool);
 channels = py.item(output_image.dims, 1);
 return py.and(known, () => py.or(!py.isinstance(channels, py.int), () => (py.contains([3, 4], channels))));
-}
-function _scale_hint$companions(input_image, output_image, declared) {
-  let is_whole, known, scale, size, sizes;
-sizes = [...py.iter(py.slice(py.or(input_image.dims, () => []), 2, null)), ...py.iter(py.slice(py.or(output_image.dims, () => []), 2, null))];
-known = [...(function* () { for (const size of py.iter(sizes)) if (py.isinstance(size, py.int)) yield size; })()];
-if (((py.compare(py.len(known), 4) < 0) || !py.bool(py.item(known, 0)) || !py.bool(py.item(known, 1)))) {
-return "";
-}
-scale = (Math.floor(py.item(known, 2) / py.item(known, 0)));
-is_whole = py.and((py.compare(scale, 1) >= 0), () => (py.eq(py.slice(known, 2, null), [(scale * py.item(known, 0)), (scale * py.item(known, 1))])));
-if ((py.bool(is_whole) && (!py.eq(scale, declared)))) {
-return set_hint$finding("outputs.image.scale", scale);
-}
-size = `(${py.str((declared * py.item(known, 0)))}, ${py.str((declared * py.item(known, 1)))})`;
-return line_hint$finding(`rows = torch.nn.functional.interpolate(rows, ${py.str(size)})`);
 }
 function* states_as_declared$companions(subject) {
   let doubt_size, entry, expected, future, graph, hint, manifest, name, state, tensor, uncertainty_output;
@@ -1690,7 +1598,7 @@ yield py.violation(location, py.str(tensor.dtype), "float32");
 }
 }
 function* cell_row_has_10$cells(subject) {
-  let declared, dims, expected, gaussians, has_row_count, hint, rows, tensor;
+  let dims, expected, has_row_count, hint, rows, tensor;
 tensor = subject.cells;
 if ((tensor == null)) {
 return;
@@ -1700,16 +1608,12 @@ rows = (py.bool(dims) ? py.item(dims, 0) : null);
 has_row_count = py.and(py.isinstance(rows, py.int), () => (py.compare(rows, 0) > 0));
 if (!((py.eq(py.len(dims), 2)) && (py.eq(py.item(dims, 1), 10)) && py.bool(has_row_count))) {
 expected = `[C, ${py.str(10)}] with a fixed C`;
-hint = line_hint$finding((((py.eq(py.len(dims), 3)) && (py.eq(py.item(dims, 0), 1))) ? "rows = rows[0]" : ""));
-[declared, gaussians] = [subject.declared_cells, subject.declared_gaussians];
-if (((py.eq(py.len(dims), 2)) && py.isinstance(rows, py.str) && py.bool(rows) && py.bool(declared) && py.bool(gaussians))) {
-hint = size_hint$finding(rows, (Math.floor(gaussians.capacity / declared.per_cell)));
-}
+hint = noHint(subject, tensor);
 yield py.violation(`output ${py.str(tensor.name)}`, `shape ${py.str(tensor)}`, expected, undefined, undefined, hint);
 }
 }
 function* cells_hold_all_rows$cells(subject) {
-  let actual, capacity, cells, count, declared, expected, hint, rows, tensor;
+  let actual, capacity, cells, declared, expected, hint, rows, tensor;
 [declared, tensor, rows] = [subject.declared_cells, subject.cells, subject.gaussians];
 if (((declared == null) || (tensor == null) || (rows == null))) {
 return;
@@ -1717,17 +1621,7 @@ return;
 [cells, capacity] = [py.item(tensor.dims, 0), py.item(rows.dims, 0)];
 if ((py.isinstance(cells, py.int) && (!py.eq((cells * declared.per_cell), capacity)))) {
 actual = `${py.str(cells)} cells of ${py.str(declared.per_cell)} rows`;
-hint = "";
-if ((py.isinstance(capacity, py.int) && (py.eq((capacity - declared.per_cell * Math.floor(capacity / declared.per_cell)), 0) && py.compare(0, capacity) < 0))) {
-count = (Math.floor(capacity / declared.per_cell));
-hint = `If the last cells are empty: ${py.str(line_hint$finding(`rows = rows[:${py.str(count)}]`))}`;
-if ((py.compare(count, cells) > 0)) {
-hint = "";
-}
-}
-if ((!py.bool(hint) && py.isinstance(capacity, py.int) && py.bool(cells) && (py.eq((capacity - cells * Math.floor(capacity / cells)), 0)))) {
-hint = set_hint$finding("outputs.cells.per_cell", (Math.floor(capacity / cells)));
-}
+hint = noHint(cells, declared.per_cell, capacity);
 expected = `cells for ${py.str(capacity)} rows`;
 yield py.violation(`output ${py.str(tensor.name)}`, actual, expected, undefined, undefined, hint);
 }
@@ -1741,10 +1635,7 @@ if ((opset == null)) {
 yield py.violation("opset_import", "no version of the ONNX operator set", `${py.str(low)} to ${py.str(high)}`);
 } else {
 if (!(py.compare(low, opset) <= 0 && py.compare(opset, high) <= 0)) {
-hint = "";
-if ((py.compare(opset, high) > 0)) {
-hint = `\`gsgen fix MODEL -o COPY\` declares operator set ${py.str(high)} if no operator of the model changed since; else export at 18.`;
-}
+hint = noHint(subject, opset, high);
 yield py.violation("opset_import", `operator set ${py.str(opset)}`, `${py.str(low)} to ${py.str(high)}`, undefined, undefined, hint);
 }
 }
@@ -1815,9 +1706,8 @@ yield py.violation(`node ${py.str(name)}`, `${py.str(count)} nodes have this nam
 for ([kind, tensors] of py.iter([["input", subject.graph.inputs], ["output", subject.graph.outputs]])) {
 for (tensor of py.iter(tensors)) {
 if (!py.bool(is_plain_name$_safe_text(tensor.name))) {
-name = py.list((function* () { for (const char of py.iter(tensor.name.trim())) yield (py.bool(is_plain_name$_safe_text(char)) ? char : "_"); })()).join("");
-hint = `Rename ${py.str(py.repr(tensor.name))} to ${py.str(py.repr(name))}, in the graph and in the manifest.`;
 [where, actual] = [`${py.str(kind)} ${py.str(py.repr(tensor.name))}`, "the name contains a blank"];
+hint = noHint(tensor.name);
 yield py.violation(where, actual, "a name without blanks", undefined, undefined, hint);
 }
 }
@@ -1827,15 +1717,12 @@ function is_plain_name$_safe_text(name) {
 return py.and(!/[\p{C}\p{Zl}\p{Zp}]|(?! )\p{Zs}/u.test(name), () => (!py.contains(name, " ")));
 }
 function* outputs_survive_replay$capture(subject) {
-  let actual, expected, graph, hint, is_declared, location, node, producer, tensor;
+  let actual, graph, location, node, producer, tensor;
 graph = subject.graph;
 for (tensor of py.iter(graph.outputs)) {
 location = `output ${py.str(tensor.name)}`;
 if (py.bool(graph.input(tensor.name))) {
-is_declared = (py.contains(subject.output_names, tensor.name));
-hint = (py.bool(is_declared) ? "" : "Remove the output from the graph: it has no role.");
-[actual, expected] = ["an input passed through", "the result of an operator"];
-yield py.violation(location, actual, expected, undefined, undefined, hint);
+yield py.violation(location, "an input passed through", "the result of an operator", undefined, undefined, noHint(subject, tensor.name));
 continue;
 }
 if (!py.bool(graph.varies(tensor.name))) {
@@ -1988,15 +1875,14 @@ yield py.violation("outputs", actual, `${py.str(format_mebibytes$units(limit, 0)
 }
 }
 function* visionary_binds_inputs$visionary(subject) {
-  let actual, entry, expected, hint, name, viewer_role, where;
+  let actual, entry, expected, hint, viewer_role, where;
 for (entry of py.iter((py.bool(subject.manifest) ? subject.manifest.inputs : []))) {
 viewer_role = bound_role$visionary(entry.name);
 if ((!py.eq(viewer_role, entry.role))) {
 actual = (py.bool(viewer_role) ? `will receive the ${py.str(viewer_role)}` : "will never be fed");
-name = py.get(_BOUND_NAMES$34, entry.role);
-hint = `Rename ${py.str(py.repr(entry.name))} to ${py.str(py.repr(name))}, in the graph and in the manifest.`;
+hint = noHint(entry.name, entry.role);
 [where, expected] = [`input ${py.str(entry.name)}`, `the ${py.str(entry.role)}`];
-yield py.violation(where, actual, expected, undefined, undefined, (py.bool(name) ? hint : ""));
+yield py.violation(where, actual, expected, undefined, undefined, hint);
 }
 }
 }
@@ -2012,7 +1898,7 @@ return "time";
 return ((py.contains(lower, "proj")) ? "projection" : "");
 }
 function* visionary_reads_color$visionary(subject) {
-  let actual, channels, declared, dtype, four, gaussians, hint, line, lines, rows, tensor, zeros;
+  let actual, channels, declared, hint, line, rows, tensor, zeros;
 [tensor, declared] = [subject.appearance, subject.declared_appearance];
 if (((tensor == null) || (declared == null) || !py.bool(tensor.dims))) {
 return;
@@ -2030,13 +1916,7 @@ yield py.violation(`output ${py.str(tensor.name)}`, actual, "48 channels", undef
 }
 if (((py.eq(declared.space, "rgb")) && (!py.eq([channels, tensor.dtype], [4, "float16"])))) {
 actual = `RGB as ${py.str(tensor.dtype)} with ${py.str(channels)} channels`;
-[hint, gaussians] = ["", subject.gaussians];
-if (((py.contains([3, 4], channels)) && (gaussians != null))) {
-four = ((py.eq(channels, 3)) ? "torch.cat([rows, rows[:, :1] * 0 + 1], 1)" : "rows");
-lines = [`rows = ${py.str(four)}.to(torch.float16)`, `${py.str(gaussians.name)} = ${py.str(gaussians.name)}.to(torch.float16)`];
-dtype = set_hint$finding("outputs.gaussians.dtype", "float16");
-hint = py.list([...py.iter(py.map(line_hint$finding, lines)), dtype]).join(" ");
-}
+hint = noHint(subject, channels);
 yield py.violation(`output ${py.str(tensor.name)}`, actual, "float16 with 4 channels", undefined, undefined, hint);
 }
 }
@@ -2061,15 +1941,10 @@ yield py.violation(`input ${py.str(entry.name)}`, `range ${py.str([low, high])}`
 }
 }
 function* visionary_shows_srgb$visionary_drawing(subject) {
-  let curve, declared, hint, line, srgb, where;
+  let declared, hint, where;
 declared = subject.declared_appearance;
 if (((declared != null) && (!py.eq(declared.color_space, "srgb")))) {
-curve = "1.055 * rows.clamp(0.0031308) ** 0.416666667 - 0.055";
-line = line_hint$finding(`rows = torch.where(rows < 0.0031308, 12.92 * rows, ${py.str(curve)})`);
-srgb = set_hint$finding("outputs.appearance.color_space", "srgb");
-hint = `Convert colours to sRGB before packing. ${py.str(line)} ${py.str(srgb)}`;
-hint = ((py.eq(declared.space, "rgb")) ? hint : "");
-where = `output ${py.str(declared.name)}`;
+[where, hint] = [`output ${py.str(declared.name)}`, noHint(declared.space)];
 yield py.violation(where, declared.color_space, "srgb", undefined, undefined, hint);
 }
 }
@@ -2095,7 +1970,7 @@ return new Candidate$manifest_io(manifest, py.list(manifest_guesses));
 function _role_of$manifest_inference(tensor) {
   let lower_name;
 lower_name = tensor.name.toLowerCase();
-return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$35.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
+return ((function* () { for (const [role, names] of py.iter(_INPUT_NAMES$34.entries())) if ((py.contains(names, lower_name))) yield role; })().next().value ?? null);
 }
 function _input$manifest_inference(tensor, manifest_guesses) {
   let entry, fixed_dims, has_free_shape, has_named_axes, role, span;
@@ -2116,7 +1991,7 @@ return ((dims != null) ? py.list((function* () { for (const dim of py.iter(dims)
 }
 function _gaussians$manifest_inference(graph, manifest_guesses) {
   let capacity, first, packed_outputs, tensor;
-tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$36);
+tensor = _find_named$manifest_inference(graph, _GAUSSIAN_NAMES$35);
 packed_outputs = [...(function* () { for (const tensor of py.iter(graph.outputs)) if ((py.eq(_last_dim$manifest_inference(tensor), 10))) yield tensor; })()];
 if (((tensor == null) && (py.eq(py.len(packed_outputs), 1)))) {
 tensor = py.item(packed_outputs, 0);
@@ -2143,7 +2018,7 @@ return ((py.eq(tensor.dtype, "float16")) ? "float16" : "float32");
 }
 function _appearance$manifest_inference(graph, manifest_guesses) {
   let channels, degree, tensor;
-tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$37);
+tensor = _find_named$manifest_inference(graph, _COLOR_NAMES$36);
 if ((tensor == null)) {
 manifest_guesses.push("no output is named like an appearance");
 return null;
@@ -2159,7 +2034,7 @@ return new AppearanceOutput$outputs(tensor.name, "rgb");
 }
 function _count$manifest_inference(graph, manifest_guesses) {
   let tensor;
-tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$38);
+tensor = _find_named$manifest_inference(graph, _COUNT_NAMES$37);
 if ((tensor == null)) {
 manifest_guesses.push("no output is named like a row count");
 return null;
@@ -2203,8 +2078,8 @@ if ((version == null)) {
 actual = ((py.contains(document, "contract")) ? _json_text$manifest_io(py.item(document, "contract")) : "nothing");
 return _failed_parse$manifest_io("version", "contract", actual, "a version such as \"1.0\"");
 }
-if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$39, 0)))) {
-manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$39, 0))}`);
+if ((!py.eq(py.item(version, 0), py.item(CURRENT_VERSION$38, 0)))) {
+manifest_complaint = new ManifestComplaint$manifest_io("version", "contract", _version_text$manifest_io(version), `major version ${py.str(py.item(CURRENT_VERSION$38, 0))}`);
 return new ParsedManifest$manifest_io(null, [manifest_complaint], version);
 }
 return _parse_body$manifest_io(document, version);
@@ -2271,7 +2146,7 @@ kind = py.get(document, "kind");
 if ((!py.contains(MANIFEST_KINDS$0, kind))) {
 return _failed_parse$manifest_io("schema", "kind", _json_text$manifest_io(kind), `one of ${py.str(py.list(MANIFEST_KINDS$0).join(", "))}`);
 }
-is_newer_version = py.and((py.compare(version, CURRENT_VERSION$39) > 0), () => (!py.contains(UPGRADE_BY_VERSION$5, version)));
+is_newer_version = py.and((py.compare(version, CURRENT_VERSION$38) > 0), () => (!py.contains(UPGRADE_BY_VERSION$5, version)));
 document = upgrade$upgrades(document, version);
 faults = py.list(schema_faults$schema_check(document, publishedSchema(kind)));
 if (py.bool(is_newer_version)) {
@@ -2302,7 +2177,7 @@ if (py.isinstance(schema, py.bool)) {
 return;
 }
 for ([word, entry] of py.iter(schema.entries())) {
-if ((py.contains(_ANNOTATION_KEYWORDS$40, word))) {
+if ((py.contains(_ANNOTATION_KEYWORDS$39, word))) {
 continue;
 }
 if ((py.eq(word, "$ref"))) {
@@ -2449,10 +2324,10 @@ known = (py.contains(py.get(fault.schema, "properties", []), name));
 return py.and(!py.bool(known), () => !py.list((function* () { for (const pattern of py.iter(patterns)) yield new RegExp(pattern).exec(name); })()).some(py.bool));
 }
 function manifest_type$manifest(kind) {
-if ((!py.contains(_MANIFEST_TYPES$41, kind))) {
+if ((!py.contains(_MANIFEST_TYPES$40, kind))) {
 throw new Error("kind");
 }
-return py.item(_MANIFEST_TYPES$41, kind);
+return py.item(_MANIFEST_TYPES$40, kind);
 }
 function read_graph$graph(file) {
   let facts, graph, inputs, outputs, weights;
@@ -2465,7 +2340,7 @@ outputs = py.list((function* () { for (const v of py.iter(graph.output)) yield _
 return new Graph$graph(inputs, outputs, py.list(graph.node), weights, (py.union((py.union(facts.tensors, weights)), py.dict((function* () { for (const t of py.iter([...py.iter(inputs), ...py.iter(outputs)])) yield [t.name, t]; })()))), py.set((function* () { for (const f of py.iter(file.proto.functions)) yield [f.domain, f.name]; })()), facts.conflicts, facts.checker, facts.inference, py.list((function* () { for (const v of py.iter(graph.output)) yield v.name; })()), py.list(py.map(_value_tensor$graph, graph.output)));
 }
 function _weight_tensor$graph(tensor) {
-return new Tensor$graph(tensor.name, py.get(_DTYPE_NAMES$42, tensor.data_type), py.list(tensor.dims));
+return new Tensor$graph(tensor.name, py.get(_DTYPE_NAMES$41, tensor.data_type), py.list(tensor.dims));
 }
 function _value_tensor$graph(value) {
   let dims, kind;
@@ -2477,7 +2352,7 @@ dims = null;
 if (py.bool(kind.HasField("shape"))) {
 dims = py.list((function* () { for (const d of py.iter(kind.shape.dim)) yield (py.bool(d.HasField("dim_value")) ? d.dim_value : py.or(d.dim_param, () => null)); })());
 }
-return new Tensor$graph(value.name, py.get(_DTYPE_NAMES$42, kind.elem_type), dims);
+return new Tensor$graph(value.name, py.get(_DTYPE_NAMES$41, kind.elem_type), dims);
 }
 function _merge_declared$graph(declared, inferred) {
   let dims, known, pairs;
@@ -2547,15 +2422,14 @@ const _SCATTER_OPERATORS$30 = py.set(["ScatterElements", "ScatterND"]);
 const _DTYPE_BITS$31 = py.dict([["complex128", 128], ["complex64", 64], ["float64", 64], ["int64", 64], ["uint64", 64], ["float16", 16], ["bfloat16", 16], ["int16", 16], ["uint16", 16], ["int8", 8], ["uint8", 8], ["bool", 8], ["float8e4m3fn", 8], ["float8e4m3fnuz", 8], ["float8e5m2", 8], ["float8e5m2fnuz", 8], ["float8e8m0", 8], ["float6e2m3", 6], ["float6e3m2", 6], ["float4e2m1", 4], ["int4", 4], ["uint4", 4], ["int2", 2], ["uint2", 2]]);
 const _SHAPE_OPERATORS$32 = py.set(["Shape", "Size"]);
 const DATA_SIZED_OPERATORS$33 = py.set(["Compress", "NonMaxSuppression", "NonZero", "Unique"]);
-const _BOUND_NAMES$34 = py.dict([["view", "camera"], ["projection", "proj"], ["time", "time"]]);
-const _INPUT_NAMES$35 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
-const _GAUSSIAN_NAMES$36 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
-const _COLOR_NAMES$37 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
-const _COUNT_NAMES$38 = ["num_points", "count", "num_gaussians", "n_points"];
-const CURRENT_VERSION$39 = [1, 0];
-const _ANNOTATION_KEYWORDS$40 = ["$schema", "$defs", "title", "description", "default", "examples"];
-const _MANIFEST_TYPES$41 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
-const _DTYPE_NAMES$42 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
+const _INPUT_NAMES$34 = py.dict([["view", ["view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"]], ["projection", ["proj", "projection", "projection_matrix", "proj_matrix", "projmat"]], ["time", ["time", "t", "timestamp"]], ["frame_index", ["frame", "frame_index", "frame_id"]], ["camera_position", ["camera_position", "camera_center", "campos", "cam_pos"]], ["viewport", ["viewport", "resolution", "image_size"]], ["pose", ["pose", "poses", "body_pose", "joint_rotations"]], ["shape", ["shape", "betas", "shapes"]], ["root_translation", ["trans", "root_translation", "transl", "translation"]], ["root_rotation", ["root_rotation", "global_orient", "root_orient"]], ["expression", ["expression", "expr"]], ["appearance_id", ["appearance_id", "appearance", "embedding_id"]]]);
+const _GAUSSIAN_NAMES$35 = ["gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed"];
+const _COLOR_NAMES$36 = ["color", "colors", "color_sh", "color_rgb", "sh", "shs", "rgb", "features", "sh_f16"];
+const _COUNT_NAMES$37 = ["num_points", "count", "num_gaussians", "n_points"];
+const CURRENT_VERSION$38 = [1, 0];
+const _ANNOTATION_KEYWORDS$39 = ["$schema", "$defs", "title", "description", "default", "examples"];
+const _MANIFEST_TYPES$40 = py.dict([["gaussian-generator", GeneratorManifest$manifest], ["post-process", PostProcessManifest$manifest], ["trajectory-predictor", TrajectoryManifest$manifest]]);
+const _DTYPE_NAMES$41 = py.dict([[0, null], [1, "float32"], [2, "uint8"], [3, "int8"], [4, "uint16"], [5, "int16"], [6, "int32"], [7, "int64"], [8, "string"], [9, "bool"], [10, "float16"], [11, "float64"], [12, "uint32"], [13, "uint64"], [14, "complex64"], [15, "complex128"], [16, "bfloat16"], [17, "float8e4m3fn"], [18, "float8e4m3fnuz"], [19, "float8e5m2"], [20, "float8e5m2fnuz"], [21, "uint4"], [22, "int4"], [23, "float4e2m1"], [24, "float8e8m0"], [25, "uint2"], [26, "int2"], [27, "float6e2m3"], [28, "float6e3m2"]]);
 /** @type {any} */
 export const RULES = [
 {"id": "GM001", "severity": "error", "hint": "Derive one with `gsgen inspect MODEL --emit-manifest > MANIFEST`, correct what it had to guess, and embed it with `gsgen fix MODEL --manifest MANIFEST -o COPY`.", "kinds": ["gaussian-generator", "post-process", "trajectory-predictor"], "target": "", "limit": "", "needs": [], check: manifest_present$manifest},
