@@ -145,7 +145,13 @@ def _rows_hint(subject: InspectedModel, name: str) -> str:
     if declared is None or subject.candidate is not None or not symbols:
         return ""
     symbol = symbols[0]
-    return size_hint(symbol, declared.capacity) if isinstance(symbol, str) and symbol else ""
+    if not isinstance(symbol, str) or not symbol:
+        return ""
+    size = size_hint(symbol, declared.capacity)
+    return (
+        "Export with a fixed capacity, fill it with inert rows, and return the count in num_points. "
+        f"If the rows are always {declared.capacity}: {size}"
+    )
 
 
 @rule("GO005", Severity.ERROR, needs=DECLARATION_RULES)
