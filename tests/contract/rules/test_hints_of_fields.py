@@ -84,6 +84,12 @@ def test_a_field_is_named_where_it_mends(name: str, tmp_path: Path) -> None:
     assert [hint for hint in hints if hint.startswith(("Set ", "Remove "))] == expected
 
 
+def test_removals_from_a_list_come_last_first(tmp_path: Path) -> None:
+    hints = [finding.hint for finding in findings(_clocks("a", "clock", "b"), tmp_path)]
+    paths = [hint.split("remove ")[1] for hint in hints if "remove inputs" in hint]
+    assert paths == ["inputs.2.", "inputs.0."]
+
+
 @pytest.mark.parametrize("size", [1e-8, 1.0, 1e5])
 def test_bounds_of_a_hint_hold_the_scene(size: float, tmp_path: Path) -> None:
     rows = still().weights["rows"] * np.array([*[size] * 3, 1, *[size**2] * 6], np.float32)

@@ -1,5 +1,6 @@
 import json
 import re
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -250,12 +251,11 @@ def test_what_a_hint_says_of_the_command_is_true(tmp_path: Path, name: str) -> N
         rename="--rename" in words,
         channel_major="channel-major" in words,
     )
-    try:
-        after = repair(source, fixed_path, request, settings).after
-    except GsgenError as error:
-        assert command is None, (finding.hint, str(error))
-        assert not fixed_path.exists()
+    with suppress(GsgenError) if command is None else nullcontext():
+        repair(source, fixed_path, request, settings)
+    if not fixed_path.exists():
         return
+    after = validate(fixed_path, settings)
     assert command is None or fixture.rule not in {entry.rule for entry in after.findings}
     errors = {e.rule for e in before.findings if e.severity is Severity.ERROR}
     assert {e.rule for e in after.findings if e.severity is Severity.ERROR} <= errors
