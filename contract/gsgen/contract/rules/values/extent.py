@@ -1,11 +1,9 @@
 """Rules of extent (GV): column order, size and position of Gaussians, float16 resolution."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from gsgen.contract._array_types import Float
 from gsgen.contract.probing.outputs import ModelOutputs, Rows, chunks, read_outputs
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
@@ -168,7 +166,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         is_outside = rows.drawn & ~inside_mask.all(axis=0)
         if rows.packed.dtype == np.float16:  # GV010 reports saturated rows
             is_outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
-    violation = Violation.rows(
+    yield Violation.rows(
         Location(rows.emission.rows_label, "position"),
         is_outside,
         rows.packed[:, :3],
@@ -176,23 +174,6 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         checked=rows.drawn_count,
         min_fraction=_OUTSIDE_SHARE,
     )
-    yield replace(violation, hint=_wider_box(rows, low, high) if is_outside.any() else "")
-
-
-# The first probe that leaves the bounds may be at an eighth of the way.
-_REACH = 8
-
-
-def _wider_box(rows: Rows, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
-    """Return the hint to declare a box around the drawn rows, wider where inputs may move them."""
-    position = rows.position[:, rows.drawn & rows.finite].astype(np.float64)
-    beyond = np.maximum(low - position.min(axis=1), 0), np.maximum(position.max(axis=1) - high, 0)
-    if rows.emission.subject.graph.inputs:
-        beyond = (np.full(3, _REACH * np.max(beyond)),) * 2
-    ends = low - beyond[0], high + beyond[1]
-    corners = (np.floor(1000 * ends[0]) / 1000).tolist(), (np.ceil(1000 * ends[1]) / 1000).tolist()
-    box = set_hint("bounds", dict(zip(("min", "max"), corners, strict=True)))
-    return f"Measure bounds over all times and poses; the SDK does. A box that may do: {box}"
 
 
 @rule("GV020", Severity.WARNING, needs=PACKED_ROWS)
