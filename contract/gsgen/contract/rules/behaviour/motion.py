@@ -188,7 +188,8 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
 
     Why:
         A number of frames that is one too small shows a frame twice, and the last one never;
-        numbering from 1 shows the last frame first.
+        numbering from 1 shows the last frame first. Without 0.001, float32 may show the frame
+        before where one begins.
 
     Hint:
         Take frame floor(time · frames + 0.001), clamped to the last, for a time from 0 to 1; number
@@ -203,13 +204,54 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         for earlier_run, later_run in (*pairwise(runs), *pairwise(within_runs))
         if earlier_run.digest == later_run.digest
     ]
-    if repeated_labels:
+    late_beginnings = list(_late_beginnings(behaviour))
+    yield from late_beginnings
+    if repeated_labels and not late_beginnings:
         actual = (
             f"{len(repeated_labels)} of {len(runs) + len(within_runs)} runs show what the frame "
             f"before did, {repeated_labels[0]!r} first"
         )
         yield Violation.at(
             _where(behaviour), actual, "other outputs in each frame", certainty="possible"
+        )
+
+
+def _late_beginnings(behaviour: Behaviour) -> Iterator[Violation]:
+    """Yield a violation if frames show the one before at the very number where they begin."""
+    from gsgen.contract.probing.named_moments import FRAMES
+
+    entry = _clock(behaviour)
+    if entry is None or entry.role != "time":
+        return
+
+    def frames_of(group: str) -> Iterator[tuple[int, float, str]]:
+        for run in behaviour.trial_runs(group):
+            time = float(run.probe.inputs[entry.name].flat[0])
+            yield entry.frame_at(time), time, run.digest
+
+    # What frames show is known where a run lies within them.
+    shown = {
+        frame: digest
+        for group in (STEPS, ORDER, "within frames")
+        for frame, _, digest in frames_of(group)
+    }
+    beginnings = [
+        begin
+        for begin in frames_of(FRAMES)
+        if len({shown.get(begin[0] - k) for k in (0, 1)} - {None}) == 2
+    ]
+    late = [(frame, time) for frame, time, digest in beginnings if digest == shown[frame - 1]]
+    if late:
+        frame, time = late[0]
+        actual = (
+            f"{len(late)} of {len(beginnings)} frames show the one before where they begin, frame "
+            f"{frame} first, at {time:.9g}: rounded down in float32"
+        )
+        yield Violation.at(
+            "role time",
+            actual,
+            "frame k from t(k) on",
+            hint="Add 0.001 frames before you round down: floor(frames · (t − a) / (b − a) + 0.001).",
         )
 
 
@@ -265,8 +307,8 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
 
     Why:
         Sound, captions and other models run on the same clock. Frames at k / (F − 1), or rounded to
-        the nearest, come too early, and the last one never, or too short. Without 0.001, float32
-        may show the frame before. A clock stops at the high end.
+        the nearest, come too early, and the last one never, or too short. A clock stops at the high
+        end.
 
     Hint:
         Take frame floor(time · frames + 0.001), clamped to the last, for a time from 0 to 1: neither
@@ -289,8 +331,6 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
     # What rests in the middle of its motion stands still there, too, but does not step.
     is_stepped = changes[count - 1] and not any(map(any, within))
     is_stepped = is_stepped and not any(_breaks_of_order(behaviour))
-    if is_stepped:
-        yield from _late_beginnings(behaviour)
     if is_stepped and last and ends and ends[0].digest != last[0].digest:
         first = [run.digest for run in _frame_runs(behaviour)[:1]]
         words = "frame 0" if first == [ends[0].digest] else "another one"
@@ -300,45 +340,6 @@ def steps_begin_with_frames(behaviour: Behaviour) -> Iterator[Violation]:
             'Where frame 0 follows the last one, declare "loop": true instead.'
         )
         yield Violation.at("role time", actual, "the last frame, without loop", hint=hint)
-
-
-def _late_beginnings(behaviour: Behaviour) -> Iterator[Violation]:
-    """Yield a violation if frames show the one before at the very number where they begin."""
-    from gsgen.contract.probing.named_moments import FRAMES
-
-    entry = _clock(behaviour)
-    if entry is None or entry.role != "time":
-        return
-
-    def frames_of(group: str) -> Iterator[tuple[int, float, str]]:
-        for run in behaviour.trial_runs(group):
-            time = float(run.probe.inputs[entry.name].flat[0])
-            yield entry.frame_at(time), time, run.digest
-
-    # What frames show is known where a run lies within them.
-    shown = {
-        frame: digest
-        for group in (STEPS, ORDER, "within frames")
-        for frame, _, digest in frames_of(group)
-    }
-    beginnings = [
-        begin
-        for begin in frames_of(FRAMES)
-        if len({shown.get(begin[0] - k) for k in (0, 1)} - {None}) == 2
-    ]
-    late = [(frame, time) for frame, time, digest in beginnings if digest == shown[frame - 1]]
-    if late:
-        frame, time = late[0]
-        actual = (
-            f"{len(late)} of {len(beginnings)} frames show the one before where they begin, frame "
-            f"{frame} first, at {time:.9g}: rounded down in float32"
-        )
-        yield Violation.at(
-            "role time",
-            actual,
-            "frame k from t(k) on",
-            hint="Add 0.001 frames before you round down: floor(frames · (t − a) / (b − a) + 0.001).",
-        )
 
 
 @rule("GB040", Severity.ERROR, needs=(*REPRODUCIBLE, "GM010", "GI025", "GI006"))
