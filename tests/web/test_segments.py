@@ -2,8 +2,10 @@
 
 import json
 import threading
+import wave
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.reference_plugins.writing.knot import torus_knot
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.web.pages import ModelView, single_file_page
+from gsgen.runtime.web.serving import ModelServer
 from gsgen.tiles.serving.server import serve_folder
 from support.commands import gsgen_here
 from support.web.pages import WebSite
@@ -115,3 +119,75 @@ def test_segments_play_from_the_server_of_tiles(page: Any, site: WebSite, folder
         np.testing.assert_array_equal(picture(page, 0.5), expected)
         server.shutdown()
     assert {"200 /clip/0000.sog", "200 /clip/0002.onnx"} <= set(log)
+
+
+_SOUND = "document.querySelector('gsgen-scene').shadowRoot.querySelector('video')"
+
+
+def spoken(folder: Path) -> dict[str, Any]:
+    """Write a recording of three seconds and its captions, and return a scene with them."""
+    with wave.open(str(folder / "speech.wav"), "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes(np.int16(9000 * np.sin(np.arange(3 * 8000) / 3)).tobytes())
+    (folder / "speech.vtt").write_text("WEBVTT\n\n00:00.800 --> 00:02.900\nIt bends.\n")
+    sound = {"path": "speech.wav", "start": 0.5, "captions": "speech.vtt"}
+    return {"models": [{"path": "still.ply"}], "timeline": {"seconds": 4}, "sound": sound}
+
+
+def test_sound_follows_the_clock_with_captions(page: Any, site: WebSite, folder: Path) -> None:
+    """Silent until a gesture, at its place after seeking, and paused with the clock or without it."""
+    document = spoken(folder)
+    for name in ("speech.wav", "speech.vtt"):
+        site.contents[f"/{name}"] = (folder / name).read_bytes()
+    # Playwright's calls count as gestures of a visitor.
+    page.evaluate("Object.defineProperty(navigator, 'userActivation', { value: {} })")
+    assert shown(site, document)["warnings"] == []
+    page.wait_for_function(f"{_SOUND}?.readyState >= 2")
+    assert page.evaluate(f"[{_SOUND}.muted, {_SOUND}.paused, {_SOUND}.currentTime]") == [
+        True,
+        True,
+        0,
+    ]
+    page.evaluate("document.querySelector('gsgen-scene').currentTime = 1.5")
+    page.wait_for_function(f"{_SOUND}.textTracks[0].activeCues?.[0]?.text === 'It bends.'")
+    assert page.evaluate(f"{_SOUND}.currentTime") == 1
+    page.mouse.click(WIDTH / 2, HEIGHT / 2)
+    assert page.evaluate(f"{_SOUND}.muted") is False
+    page.evaluate("document.querySelector('gsgen-scene').play()")
+    page.wait_for_function(f"{_SOUND}.currentTime > 1.3")
+    drift = f"document.querySelector('gsgen-scene').currentTime - 0.5 - {_SOUND}.currentTime"
+    assert abs(page.evaluate(drift)) < 0.5
+    page.evaluate("document.querySelector('gsgen-scene').pause()")
+    assert page.evaluate(f"{_SOUND}.paused") is True
+    page.evaluate(
+        "const scene = document.querySelector('gsgen-scene'); scene.loop = true; scene.play()"
+    )
+    page.wait_for_function(f"!{_SOUND}.paused")
+    page.evaluate("document.querySelector('gsgen-scene').style.display = 'none'")
+    page.wait_for_function(f"{_SOUND}.paused")  # without frames there is no clock
+    page.evaluate("document.body.replaceChildren()")
+    del site.contents["/speech.wav"]
+    assert shown(site, document)["errors"] == []
+    page.wait_for_function("document.querySelector('gsgen-scene').warnings.length")
+    warning = page.evaluate("document.querySelector('gsgen-scene').warnings[0]")
+    assert warning["where"] == "sound"
+    assert "cannot be loaded: 404" in warning["message"]
+
+
+def test_pages_bring_the_sound_of_a_scene_file(page: Any, site: WebSite, folder: Path) -> None:
+    """In one file, and from the server of `view --web`."""
+    scene = folder / "spoken.json"
+    scene.write_text(json.dumps(spoken(folder)), "utf-8")
+    site.contents["/single.html"] = single_file_page([scene], ModelView(play=False), None).encode()
+    site.open("/single.html")
+    page.wait_for_function(f"document.querySelector('gsgen-scene') && {_SOUND}?.duration === 3")
+    assert page.evaluate(f"{_SOUND}.textTracks.length") == 1
+    with ModelServer([scene], ModelView(), ort=None) as server:
+        served = server.content("/models/0/spoken.json")
+        assert served is not None
+        sound = json.loads(served[1])["sound"]
+        assert sound["start"] == 0.5
+        for field, name in (("path", "speech.wav"), ("captions", "speech.vtt")):
+            file = server.content(unquote(sound[field].partition("?")[0]))
+            assert file is not None
+            assert file[1] == (folder / name).read_bytes()

@@ -154,20 +154,31 @@ class PageFile:
     Attributes:
         path: The file.
         is_mesh: Whether three.js reads it, as a mesh of a scene file.
+        is_sound: Whether the browser reads it, as a recording or its captions.
     """
 
     path: Path
     is_mesh: bool = False
+    is_sound: bool = False
 
     def content(self, read: SplatReader = open_splats) -> bytes:
-        """Return the file's bytes for a web page; see :func:`model_bytes` and ``mesh_bytes``."""
-        return mesh_bytes(self.path) if self.is_mesh else model_bytes(self.path, read)
+        """Return the file's bytes for a web page; see :func:`model_bytes` and ``mesh_bytes``.
+
+        Raises:
+            SceneUnreadable: The file cannot be read, or holds nothing that a page shows.
+        """
+        if not self.is_sound:
+            return mesh_bytes(self.path) if self.is_mesh else model_bytes(self.path, read)
+        try:
+            return self.path.read_bytes()
+        except OSError as error:
+            raise SceneUnreadable(error.strerror or str(error), where=str(self.path)) from error
 
 
 def files_shown(paths: Iterable[Path]) -> list[PageFile]:
     """Return the files that a page shows: those of scene files, and the others.
 
-    Of a scene file first the models, then the meshes, then the post-process models.
+    Of a scene file first the models, then the meshes, the post-process models, and the sound.
 
     Raises:
         SceneUnreadable: A scene file cannot be read.
@@ -180,6 +191,9 @@ def files_shown(paths: Iterable[Path]) -> list[PageFile]:
             shown += [PageFile(file) for model in scene.models for file in model.paths]
             shown += [PageFile(mesh.path, is_mesh=True) for mesh in scene.meshes]
             shown += [PageFile(post.path) for post in scene.posts]
+            if scene.sound is not None:
+                sound = filter(None, [scene.sound.path, scene.sound.captions])
+                shown += [PageFile(file, is_sound=True) for file in sound]
         else:
             shown.append(PageFile(path))
     return shown
@@ -198,6 +212,9 @@ def scene_bytes(path: Path, addresses: Sequence[str]) -> bytes:
 
     for field in ("models", "meshes", "posts"):
         document[field] = [moved(part) for part in document.get(field) or []]
+    for field in ("path", "captions"):
+        if (document.get("sound") or {}).get(field):
+            document["sound"][field] = next(remaining)
     return json.dumps(document).encode()
 
 

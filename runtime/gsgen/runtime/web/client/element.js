@@ -332,6 +332,7 @@ export class GsgenModel extends ModelControls {
     this._succeed();
     if (this._isMissed || this.autoRotate || shown.playback?.paused === false) this._requestFrame();
     this._usePosts();
+    shown.useSound(this._view.root, signal).catch(({ message }) => signal.aborted || this._complain("sound", message));
   }
 
   /** The post-process models that the picture goes through: those of a scene, and of `posts`. */

@@ -7,10 +7,11 @@ const TEXT = `
   background: var(--gsgen-background, #000); color: #fff; font: 14px/1.5 system-ui, sans-serif }
 :host([background]) { background: none }
 :host([hidden]) { display: none }
-canvas, img, [part=annotations] { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover }
+canvas, img, video, [part=annotations] { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover }
 canvas { touch-action: pan-y; outline-offset: -3px }
 canvas:focus-visible { outline: 3px solid var(--gsgen-accent, #6cf) }
-[part=annotations] { pointer-events: none; overflow: hidden }
+[part=annotations], video { pointer-events: none; overflow: hidden }
+video { height: calc(100% - 2.6rem) }
 [part=annotations] > div { position: absolute; top: 0; left: 0 }
 ::slotted(*), [part=annotation] { pointer-events: auto; transform: translate(-50%, -50%) }
 [part=annotations] [part=annotation] { display: block; width: max-content; height: auto; padding: .1rem .5rem; background: #000b; color: #fff }

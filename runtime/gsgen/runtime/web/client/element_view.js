@@ -17,7 +17,7 @@ function part(tag, name, attributes = {}, ...children) {
 export class ElementView {
   /** @param {ShadowRoot} root */
   constructor(root) {
-    this._root = root;
+    this.root = root;
     this.adopt();
     this.canvas = part("canvas", "canvas", { role: "img", width: "1", height: "1" });
     this.poster = part("img", "poster", { alt: "", hidden: "" });
@@ -38,7 +38,7 @@ export class ElementView {
 
   /** Take the style of the document that the element is in. */
   adopt() {
-    this._root.adoptedStyleSheets = [elementStyle(this._root.ownerDocument)];
+    this.root.adoptedStyleSheets = [elementStyle(this.root.ownerDocument)];
   }
 
   describe(alt, isInteractive) {

@@ -27,6 +27,7 @@ import { SplatBuffers } from "./splat_buffers.js";
  * @property {any} [manifest] Of generators, with the findings of rules.
  * @property {any[]} [findings]
  * @property {import("./post_process.js").Post[]} [posts] Of scenes.
+ * @property {{start: number, addresses: (string | null)[]} | null} [sound] Of scenes: a recording and its captions.
  * @property {number[] | null} [background] Of scenes: red, green, blue and alpha.
  * @property {Partial<import("./orbit_camera.js").Orbit> & {view?: number[]}} [camera] Of scenes: the first one.
  * @property {import("./scene_file.js").SceneAnnotation[]} [annotations] Of scenes.

@@ -1,6 +1,6 @@
 /** The time of a model: plays, pauses, loops, at any rate. */
 
-const LONGEST_STEP = 1; // seconds between two frames; more have passed where the page was hidden
+export const LONGEST_STEP = 1; // seconds between two frames; more have passed where the page was hidden
 
 /** Return what a time input goes through: of whole numbers, each lasts as long as the others. */
 function spanOf({ low, high, isWhole = false }) {

@@ -61,8 +61,9 @@ class Fields {
     return this.read(name, (value) => words.includes(value), words.join(" or "));
   }
 
-  required(name) {
-    return this.read(name, isText, "text") ?? this.refuse(name, "is missing, expected text");
+  /** Read a field that must be there. */
+  required(name, isGood = isText, expected = "text") {
+    return this.read(name, isGood, expected) ?? this.refuse(name, `is missing, expected ${expected}`);
   }
 
   nested(name) {
@@ -114,9 +115,7 @@ export function readScene(document, name, warn) {
   const camera = cameraOf(fields, up, warn);
   const background = backgroundOf(fields);
   const annotations = fields.parts("annotations").map((part) => annotationOf(part, up));
-  const sound = fields.nested("sound");
-  sound?.close([sound.required("path"), sound.read("start", isNumber, "a number"), sound.read("captions", isText, "text")]);
-  if (sound) warn("sound", "is not played in pages");
+  const sound = soundOf(fields.nested("sound"));
   const timeline = fields.nested("timeline");
   const keyed = [camera, ...[...models, ...posts].flatMap(({ inputs }) => Object.values(inputs))].filter(isKeyed);
   const lengths = models.map(({ segments }) => segments.reduce((sum, segment) => sum + segment.seconds, 0));
@@ -127,7 +126,7 @@ export function readScene(document, name, warn) {
   timeline?.close();
   if (timeline && !seconds) timeline.refuse("seconds", "is 0, expected a number above 0, or key frames");
   fields.close();
-  return { models, meshes, posts, annotations, camera, background, up, fieldOfView, seconds, loop };
+  return { models, meshes, posts, annotations, camera, background, sound, up, fieldOfView, seconds, loop };
 }
 
 /** @param {Fields} fields Of a model: its place, how it is drawn, and values or key frames of its inputs. */
@@ -154,8 +153,8 @@ function modelOf(fields) {
 }
 
 function segmentOf(fields) {
-  const seconds = fields.read("seconds", (value) => isNumber(value) && value > 0, "seconds above 0");
-  return fields.close({ path: fields.required("path"), seconds: seconds ?? fields.refuse("seconds", "is missing, expected seconds above 0"), where: fields.where });
+  const seconds = fields.required("seconds", (value) => isNumber(value) && value > 0, "seconds above 0");
+  return fields.close({ path: fields.required("path"), seconds, where: fields.where });
 }
 
 /** @param {Fields} fields Of a mesh: its place, how it is drawn, and the clip that it plays. */
@@ -175,10 +174,20 @@ function meshOf(fields) {
 
 /** @param {Fields} fields @returns {SceneAnnotation} */
 function annotationOf(fields, up) {
-  const position = fields.read("position", isList(3), "3 numbers") ?? fields.refuse("position", "is missing, expected 3 numbers");
+  const position = fields.required("position", isList(3), "3 numbers");
   const camera = fields.read("camera", (value) => isText(value) && placeOf(value) !== null, CAMERA_FORMS);
   const normal = fields.read("normal", isList(3), "3 numbers");
   return fields.close({ position, text: fields.required("text"), normal, camera: camera && orbitOf(placeOf(camera), up) });
+}
+
+/** @param {Fields | null} fields Of a recording, and of its place on the timeline. */
+function soundOf(fields) {
+  return fields && fields.close({
+    path: fields.required("path"),
+    start: fields.read("start", isNumber, "a number") ?? 0,
+    captions: fields.read("captions", isText, "text"),
+    where: fields.where,
+  });
 }
 
 function postOf(fields) {
@@ -252,13 +261,10 @@ const numbersOf = (value) => (isNumbers(value) ? [value].flat(3).map(Number) : n
  */
 function keysOf(fields, read, expected) {
   const keys = fields.parts("keys").map((part) => {
-    const at = part.read("at", (value) => isNumber(value) && value >= 0, "seconds from 0");
-    const value = part.read("value", (given) => read(given) !== null, expected);
+    const at = part.required("at", (value) => isNumber(value) && value >= 0, "seconds from 0");
+    const value = part.required("value", (given) => read(given) !== null, expected);
     const easing = part.choice("easing", Object.keys(EASINGS)) ?? "linear";
-    part.close();
-    if (at === null) part.refuse("at", "is missing, expected seconds from 0");
-    if (value === null) part.refuse("value", `is missing, expected ${expected}`);
-    return { at, value: /** @type {number[]} */ (read(value)), easing };
+    return part.close({ at, value: /** @type {number[]} */ (read(value)), easing });
   });
   fields.close();
   if (!keys.length) fields.refuse("keys", "has no key frame");

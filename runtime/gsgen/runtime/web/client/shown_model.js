@@ -1,6 +1,7 @@
 /** A model on its way to the screen: with the renderer, the camera and the time that it is drawn with. */
 
 import { unproject } from "./camera.js";
+import { download } from "./download.js";
 import { GsgenError } from "./errors.js";
 import { Governor } from "./governor.js";
 import { linearPart, normalized, times, transposed } from "./matrices.js";
@@ -42,6 +43,8 @@ export class PlacedModel {
     this.camera = null;
     this.isStale = true; // the Gaussians are those of other inputs
     this.isDestroyed = false;
+    /** @type {import("./sound.js").Sound | null} */
+    this._sound = null;
     this._isInView = true;
     this._inTurn = inTurns(); // frames, and pictures between them
   }
@@ -56,8 +59,19 @@ export class PlacedModel {
     this._inTurn(async () => this._isInView || this.isDestroyed || this.model.hide?.());
   }
 
-  /** Take the camera of the present time, where a timeline has cameras. */
+  /** Play the sound of a scene from now on. @param {ShadowRoot} root Where its captions are shown. */
+  async useSound(root, signal) {
+    const { playback, model: { sound } } = this;
+    if (!sound || !playback) return;
+    const { start, addresses } = sound;
+    const files = await Promise.all(addresses.map((address) => address && download(address, undefined, signal)));
+    const { Sound } = await import("./sound.js");
+    if (!this.isDestroyed) this._sound = new Sound(root, playback, start, files);
+  }
+
+  /** Play the sound of the present time, and take the camera, where a timeline has cameras. */
   followTime() {
+    this._sound?.follow();
     const place = this.model.cameraAt?.(this.playback?.currentTime ?? 0);
     if (place) this.orbit.move(place);
   }
@@ -92,6 +106,12 @@ export class PlacedModel {
   get boundingBox() {
     const { center, half = [0, 0, 0] } = this.model.extent;
     return { min: center.map((x, i) => x - half[i]), max: center.map((x, i) => x + half[i]) };
+  }
+
+  destroy() {
+    this.isDestroyed = true;
+    this._sound?.destroy();
+    this.model.destroy();
   }
 }
 
@@ -327,10 +347,9 @@ export class ShownModel extends PlacedModel {
 
   /** Release all GPU memory. */
   destroy() {
-    this.isDestroyed = true;
     this._stop.abort();
     this._posts?.destroy();
     this.renderer.destroy();
-    this.model.destroy();
+    super.destroy();
   }
 }

@@ -68,6 +68,8 @@ export class Stage {
       return new URL(path, base).href;
     };
     const posts = scene.posts.map((post) => ({ ...post, address: addressOf(post) }));
+    const { sound } = scene;
+    const recording = sound && { ...sound, addresses: [sound.path, sound.captions].map((path) => path && addressOf({ ...sound, path })) };
     const openingMeshes = Promise.all(scene.meshes.map(async (part) => {
       const address = addressOf(part);
       const { openMesh } = await import("./stage_meshes.js");
@@ -93,7 +95,7 @@ export class Stage {
       const meshes = await openingMeshes;
       const isLinear = entries.some(({ model }) => model.buffers.isLinear);
       if (meshes.length) drawn = await (await import("./stage_meshes.js")).StageMeshes.open(kernels, meshes, isLinear);
-      return new Stage(kernels, entries, drawn, { ...scene, posts }, document);
+      return new Stage(kernels, entries, drawn, { ...scene, posts, recording }, document);
     } catch (error) {
       drawn?.destroy();
       for (const entry of opening) entry.then(({ model }) => model.destroy(), () => {});
@@ -105,7 +107,7 @@ export class Stage {
    * @param {import("./host.js").KernelCache} kernels
    * @param {Entry[]} entries
    * @param {import("./stage_meshes.js").StageMeshes | null} meshes
-   * @param {Omit<ReturnType<typeof readScene>, "posts"> & {posts: import("./post_process.js").Post[]}} scene
+   * @param {Omit<ReturnType<typeof readScene>, "posts"> & {posts: import("./post_process.js").Post[], recording: any}} scene
    * @param {Record<string, any>} document What the scene was read from.
    */
   constructor({ device, plans }, entries, meshes, scene, document) {
@@ -126,6 +128,7 @@ export class Stage {
     this.annotations = scene.annotations;
     this.background = scene.background;
     this.posts = scene.posts;
+    this.sound = scene.recording;
     this.up = scene.up;
     this.inputs = entries.flatMap(({ model }) => model.inputs);
     this.findings = entries.flatMap(({ model }) => model.findings ?? []);

@@ -221,9 +221,8 @@ class ModelOfThree extends PlacedModel {
   }
 
   destroy() {
-    this.isDestroyed = true;
     this._picture?.close();
     this._gaussians?.destroy();
-    this.model.destroy();
+    super.destroy();
   }
 }
