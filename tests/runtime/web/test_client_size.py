@@ -22,7 +22,7 @@ def imported_by(name: str, known: frozenset[str] = frozenset()) -> frozenset[str
 
 def test_the_client_has_few_lines() -> None:
     written = {name: text for name, text in _TEXTS.items() if name not in _GENERATED_FILES}
-    assert 1000 < sum(text.count("\n") for text in written.values()) <= 9972
+    assert 1000 < sum(text.count("\n") for text in written.values()) <= 10_056
 
 
 def test_adapters_of_other_engines_have_few_lines() -> None:
