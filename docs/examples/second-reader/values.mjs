@@ -125,9 +125,9 @@ rule('GV016', 'error', {needs: [...COUNT, 'GO001', 'GO002']}, (m) => { // L19
 });
 rule('GV054', 'error', {needs: [...COUNT, 'GO001', 'GO002', 'GI001', 'GM006']}, (m) => { // C5.2
   if (!m.turned) return undefined;
-  const front = m.frames[0].drawn.length;
+  const front = Math.max(...m.frames.map(({drawn}) => drawn.length));
   const behind = m.turned.drawn.length;
-  return behind > 0 && front <= 0.1 * behind ? `${front} rows in front, ${behind} behind` : undefined;
+  return front <= 0.1 * behind ? `${front} rows in front, ${behind} behind` : undefined;
 });
 rule('GV032', 'error', {needs: [...COUNT, 'GO004', 'GV054']}, (m) => // L19, I7
   (m.everyFrame.every((frame) => frame.stored === 0) ? 'no row is live at any probe' : undefined));
@@ -347,12 +347,12 @@ rule('GV056', 'error', {...IMAGE, needs: [...RUN, 'GO018']}, (m) => { // M58.2
     return fits ? undefined : `[${dims}] for [${shape}]`;
   });
 });
-rule('GV057', 'warning', {...IMAGE, needs: ['GV055', 'GV056', 'GG025', 'GG010']}, (m) => { // R46.4
+rule('GV057', 'error', {...IMAGE, needs: ['GV055', 'GV056', 'GG025', 'GG010']}, (m) => { // R46.5
   const [low, high] = m.manifest.outputs.image.range ?? [0, 1];
-  const slack = 0.1 * (high - low);
+  const slack = 0.25 * (high - low);
   return pictures(m, ({data}) => {
     const out = data.filter((n) => !(n >= low - slack && n <= high + slack)).length;
-    return out > 0.01 * data.length ? `${out} of ${data.length} values` : undefined;
+    return out > 0.1 * data.length ? `${out} of ${data.length} values` : undefined;
   });
 });
 
