@@ -454,8 +454,14 @@ def store_numbers(draft: Draft, _: object) -> None:
     values = {v.name: v for v in (*inferred.value_info, *inferred.input, *inferred.output)}
     for node in [node for node in graph.node if node.op_type.startswith("Random")]:
         shape = [dim.dim_value for dim in values[node.output[0]].type.tensor_type.shape.dim]
-        numbers = np.random.default_rng(1).uniform(0, 1, shape).astype(np.float32)
-        draft.add_weights({node.output[0]: numbers})
+        given = {entry.name: entry.f for entry in node.attribute}
+        random = np.random.default_rng(1)
+        numbers = (
+            random.normal(given.get("mean", 0), given.get("scale", 1), shape)
+            if "Normal" in node.op_type
+            else random.uniform(given.get("low", 0), given.get("high", 1), shape)
+        )
+        draft.add_weights({node.output[0]: numbers.astype(np.float32)})
         graph.node.remove(node)
 
 
