@@ -465,6 +465,17 @@ def store_numbers(draft: Draft, _: object) -> None:
         graph.node.remove(node)
 
 
+def export_at_opset(draft: Draft, match: re.Match[str]) -> None:
+    """Do as an export at another operator set does; operators of unknown sets stay as they are."""
+    entry = next(opset for opset in draft.model.opset_import if opset.domain in ("", "ai.onnx"))
+    version = int(match["version"])
+    if entry.version < version:
+        converted = onnx.version_converter.convert_version(draft.model, version)
+        draft.model.CopyFrom(converted)
+    entry = next(opset for opset in draft.model.opset_import if opset.domain in ("", "ai.onnx"))
+    entry.version = version
+
+
 def unique_names(draft: Draft, _: object) -> None:
     for index, node in enumerate(draft.model.graph.node):
         node.name = f"node_{index}"
@@ -580,6 +591,7 @@ MENDS: tuple[tuple[str, Edit], ...] = (
     (r"blend: wsr.*or blend by alpha and declare neither", lambda d, _: (d.manifest.update(blend="alpha"), d.manifest.pop("weighted_sum", None), d.manifest["outputs"].pop("cells", None))),
     (r"without blend: wsr; .*Declare the tensor of cells", set_field("blend", "wsr")),
     (r"expected unique node names", unique_names),
+    (r"\| Export at operator set (?P<version>\d+)", export_at_opset),
     (r"Run shape inference again", infer_shapes_again),
     (r"Call model\.eval\(\)", leave_training),
     (r"Store the weight (?P<name>\S+) in float32", store_in_float32),

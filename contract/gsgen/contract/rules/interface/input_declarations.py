@@ -207,7 +207,8 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
         elif entry.fps == 0:
             yield Violation.at(_input_location(entry), "fps 0", "frames per second above 0")
     if isinstance(subject.manifest, TrajectoryManifest) and not subject.manifest.step_seconds:
-        yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
+        hint = f"{set_hint('step_seconds', 0.1)} Or to the time between two states in training."
+        yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0", hint=hint)
 
 
 @rule("GI025", Severity.ERROR, needs=("GM004", "GI013"))
@@ -235,7 +236,10 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
             numbers = max(1, int((high - low) / size * _FLOAT32_STEPS))
         if entry.frames > numbers:
             actual = f"{entry.frames} frames in the range {list(entry.range)}"
-            yield Violation.at(_input_location(entry), actual, f"{numbers} distinct frames at most")
+            expected = f"{numbers} distinct frames at most"
+            fewer = set_hint(f"{subject.path_of(entry)}.frames", numbers)
+            hint = f"Let times start at 0. Or: {fewer}" if entry.role == "time" else ""
+            yield Violation.at(_input_location(entry), actual, expected, hint=hint)
 
 
 @rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=MANIFEST_KINDS)

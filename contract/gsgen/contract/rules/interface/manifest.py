@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
@@ -112,7 +113,11 @@ def _schema_hint(subject: InspectedModel, complaint: ManifestComplaint) -> str:
     if written.get("kind") != GENERATOR or not keys:
         return ""
     if keys[0] not in inferred and len(keys) > 1:
-        return remove_hint(keys[0], f"correct {'.'.join(keys)}")
+        # The field alone, if it may be absent, or what it belongs to, if nothing else needs that.
+        path = ".".join(keys)
+        if _may_lack(written, keys):
+            return remove_hint(path, "correct it")
+        return "" if written.get("blend") == "wsr" else remove_hint(keys[0], f"correct {path}")
     for key in keys:
         if isinstance(written, list) and isinstance(inferred, list):
             written = written[int(key)]
@@ -123,6 +128,19 @@ def _schema_hint(subject: InspectedModel, complaint: ManifestComplaint) -> str:
             inferred = inferred.get(key)
     is_guess = '"space": "rgb"' in json.dumps(inferred)  # three channels may be RGB or SH
     return "" if inferred is None or is_guess else set_hint(".".join(keys), inferred)
+
+
+def _may_lack(document: Any, keys: list[str]) -> bool:
+    """Return whether a manifest without one of its fields follows its schema."""
+    owner = document = json.loads(json.dumps(document))
+    for key in keys[:-1]:
+        owner = owner[int(key)] if isinstance(owner, list) else owner.get(key)
+        if not isinstance(owner, (dict, list)):
+            return False
+    if not isinstance(owner, dict) or keys[-1] not in owner:
+        return False
+    del owner[keys[-1]]
+    return not parse(json.dumps(document)).complaints
 
 
 @rule("GM003", Severity.ERROR, kinds=MANIFEST_KINDS)

@@ -128,4 +128,13 @@ def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
                 f"median {1e3 * median:.3g} ms, 95 % within {1e3 * slow_time:.3g} ms on this CPU"
             )
             expected = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
-            yield Violation.at(f"input {tensor.name}", actual, expected, certainty="possible")
+            rate = float(f"{0.9 / median:.2g}")
+            path = f"{behaviour.subject.path_of(entry)}.fps"
+            reached = set_hint(path, int(rate) if rate >= 1 else rate)
+            yield Violation.at(
+                f"input {tensor.name}",
+                actual,
+                expected,
+                certainty="possible",
+                hint=f"{reached} Or make the model smaller: this CPU computes so many frames.",
+            )

@@ -103,7 +103,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
         camera that sees all of the bounds on a screen of 1080 rows.
 
     Hint:
-        Declare "antialias": "mip" if it was trained so; else make tiny Gaussians larger.
+        Set antialias to "mip" if the model was trained so; else make tiny Gaussians larger.
     """
     generator = rows.emission.subject.generator
     if generator is None or generator.bounds is None or generator.antialias == "mip":
