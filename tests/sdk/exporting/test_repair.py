@@ -12,12 +12,13 @@ import pytest
 from gsgen.conformance.fixtures import find, fixtures
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest import VectorRows
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.exporting.repair import RepairRequest, repair
+from gsgen.sdk.exporting.repair import RepairRequest, _with_coefficients_first, repair
 from support.commands import gsgen_here
 
 
@@ -89,6 +90,36 @@ def test_renaming_makes_a_viewer_find_the_outputs(tmp_path: Path) -> None:
     text = open_model(tmp_path / "fixed.onnx").manifest_text
     assert text is not None
     assert loads(text).outputs.gaussians.name == "gaussians"  # type: ignore[union-attr]
+
+
+def test_recorded_rows_are_renamed_and_reordered_too(tmp_path: Path) -> None:
+    """Models of `gsgen export` record rows of their source, by the names of outputs."""
+    source, order = (
+        find("source_vector_holds").write(tmp_path),
+        ("num_points", "color", "gaussians"),
+    )
+    proto = onnx.load(source)
+    outputs = {value.name: value for value in proto.graph.output}
+    ordered = [outputs[name] for name in order]
+    del proto.graph.output[:]
+    proto.graph.output.extend(ordered)
+    onnx.save(proto, source)
+    done = repair(source, tmp_path / "fixed.onnx", RepairRequest(rename=True, channel_major=True))
+    assert [step.description for step in done.repairs] == [
+        "color is reordered to coefficient-major",
+        "outputs are renamed: color → color_sh, and listed first",
+    ]
+    assert done.after.verdict == "conforms"
+    assert "GM037" not in {finding.rule for finding in done.after.findings}
+    names = [value.name for value in onnx.load(tmp_path / "fixed.onnx").graph.output]
+    assert names == ["gaussians", "color_sh", "num_points"]
+
+
+def test_rows_of_channels_become_rows_of_coefficients() -> None:
+    rows = VectorRows("color", (0,), ((1.0, 2.0, 3.0, 4.0, 5.0, 6.0),))
+    (values,) = _with_coefficients_first(rows, "color").values
+    assert values == (1.0, 3.0, 5.0, 2.0, 4.0, 6.0)
+    assert _with_coefficients_first(rows, "gaussians") is rows
 
 
 def test_a_symbol_gets_the_size_that_is_given(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, declared_
 from gsgen.contract.model.versions import lowest_ir_version, operators_changed_since
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.drafts import temporary_folder
-from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.manifest import GeneratorManifest, TestVector, VectorRows
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.validation.report import Report
@@ -216,6 +216,8 @@ def _repair_steps(
     if color is not None and request.channel_major:
         description = f"{color.name} is reordered to coefficient-major"
         repair_steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
+        order = partial(_with_coefficients_first, name=color.name)
+        manifest = replace(manifest, test_vectors=_changed_records(manifest, order))
     if rows and color and count and violated_rules & {"GV002", "GV018"}:
         silence_padding = SilencePadding((rows.name, color.name), count.name)
         repair_steps.append(
@@ -225,10 +227,14 @@ def _repair_steps(
         color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
         names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT_OUTPUT}
         changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
-        if changed:
-            repair_steps.append(
-                (Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names))
-            )
+        listed = [tensor.name for tensor in subject.graph.outputs][: len(names)]
+        words = [f"renamed: {changed}"] if changed else []
+        words += [] if listed == list(names) else ["listed first"]
+        if words:
+            description = f"outputs are {', and '.join(words)}"
+            repair_steps.append((Repair(description, "TV101"), RenameOutputs(names)))
+            rename = partial(_with_new_name, names=names)
+            manifest = replace(manifest, test_vectors=_changed_records(manifest, rename))
             outputs = replace(
                 outputs,
                 gaussians=replace(rows, name=GAUSSIANS),
@@ -236,3 +242,27 @@ def _repair_steps(
                 count=replace(count, name=COUNT_OUTPUT),
             )
     return repair_steps, replace(manifest, outputs=outputs)
+
+
+def _changed_records(
+    manifest: GeneratorManifest, change: Callable[[VectorRows], VectorRows]
+) -> tuple[TestVector, ...]:
+    """Return the test vectors with their recorded rows changed as the outputs of the graph are."""
+    return tuple(
+        replace(vector, outputs=tuple(map(change, vector.outputs)))
+        for vector in manifest.test_vectors
+    )
+
+
+def _with_new_name(rows: VectorRows, names: Mapping[str, str]) -> VectorRows:
+    return replace(rows, output=names.get(rows.output, rows.output))
+
+
+def _with_coefficients_first(rows: VectorRows, name: str) -> VectorRows:
+    """Return recorded rows R… G… B… as RGB RGB …, if they are those of the named output."""
+    if rows.output != name:
+        return rows
+    values = [(row, len(row) // 3) for row in rows.values]
+    return replace(
+        rows, values=tuple(tuple(v for k in range(n) for v in row[k::n]) for row, n in values)
+    )
