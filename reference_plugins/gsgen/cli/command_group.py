@@ -433,7 +433,10 @@ def _unknown_command(typed_words: list[str], commands: list[str], group: str = "
             f"To validate it, type `gsgen validate {word}`." if is_model_path else draw_hint
         )
         outputs = [entry for entry in arguments if not entry.startswith("-")]
-        if outputs and (call := command_that_writes(Path(outputs[-1]), [name, *outputs[:-1]])):
+        # Who types two files that are there means no output, which would be overwritten.
+        is_output = "-o" in arguments or not all(map(os.path.exists, outputs))
+        call = command_that_writes(Path(outputs[-1]), [name, *outputs[:-1]]) if outputs else ""
+        if call and is_output:
             error.hint = f"Did you mean `{call}`?"
     return error
 
