@@ -45,6 +45,17 @@ def sharpened(size: str, nodes: str) -> ModelSpec:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("middle", [1.0, 4.0])
+def test_filters_that_sharpen_are_not_refused(middle: float, tmp_path: Path) -> None:
+    """At noise their results leave the range, which a runtime clips; pictures stay within."""
+    kernel = np.full((3, 1, 3, 3), -middle / 8, np.float32)
+    kernel[:, 0, 1, 1] += 1 + middle + middle / 8
+    conv = "out = Conv <group = 3, pads = [1, 1, 1, 1]> (image, amount)"
+    model = darken("32,32").replace_text(_NETWORK, conv).with_weights(amount=kernel)
+    model.write(tmp_path / "m.onnx")
+    assert validate(tmp_path / "m.onnx").verdict == "conforms"
+
+
 _PADDED = (
     "shape = Shape (image) size = Slice (shape, spatial, four) "
     "over = Mod (size, sixteen) rest = Sub (sixteen, over) half = Div (rest, halves) "

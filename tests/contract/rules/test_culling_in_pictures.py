@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.builders.arrays import f32, i64
+from gsgen.conformance.fixtures.builders.arrays import f32, i32, i64
+from gsgen.conformance.fixtures.builders.moving import camera_dependent_model
 from gsgen.conformance.fixtures.builders.scenes import Kind, model_of_gaussians, pack, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.probing.drawn_sample import spatial_groups
@@ -190,6 +191,11 @@ def test_other_rules_name_a_transposed_view_and_a_reversed_axis(tmp_path: Path) 
 
 def test_a_far_plane_before_the_scene_leaves_what_is_behind_the_camera(tmp_path: Path) -> None:
     assert "GV054" in findings(scene_with_camera("seen = Less (z, far_plane)"), tmp_path)
+
+
+def test_a_count_of_zero_is_no_fault_of_culling(tmp_path: Path) -> None:
+    model = camera_dependent_model(40).with_weights(live=i32(0))
+    assert findings(model, tmp_path) == ["GV032"]
 
 
 def test_a_splat_covers_what_its_formula_says() -> None:

@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.images import darken
 from gsgen.conformance.fixtures.builders.moving import input_driven_model
@@ -88,6 +90,26 @@ def test_removals_from_a_list_come_last_first(tmp_path: Path) -> None:
     hints = [finding.hint for finding in findings(_clocks("a", "clock", "b"), tmp_path)]
     paths = [hint.split("remove ")[1] for hint in hints if "remove inputs" in hint]
     assert paths == ["inputs.2.", "inputs.0."]
+
+
+def test_a_field_of_a_wrong_type_is_named_at_any_depth(tmp_path: Path) -> None:
+    def break_range(fields: dict[str, Any]) -> None:
+        fields["inputs"][0]["range"][1] = "x"
+
+    (finding,) = findings(find("drift").draw().edit_manifest(break_range), tmp_path)
+    assert (finding.rule, finding.where.subject) == ("GM002", "manifest inputs.0.range.1")
+
+
+def test_a_field_that_the_schema_lacks_is_removed_alone(tmp_path: Path) -> None:
+    model = _clocks("clock").edit_manifest(lambda fields: fields["inputs"][0].update(speed=2))
+    (hint,) = [finding.hint for finding in findings(model, tmp_path)]
+    assert hint == "Remove inputs.0.speed, or correct its name."
+
+
+def test_inputs_are_not_removed_for_a_fault_of_one(tmp_path: Path) -> None:
+    model = _clocks("clock").edit_manifest(lambda fields: fields["inputs"][0].update(rate="x"))
+    (hint,) = [finding.hint for finding in findings(model, tmp_path)]
+    assert hint.startswith("Correct the field named here")
 
 
 @pytest.mark.parametrize("size", [1e-8, 1.0, 1e5])

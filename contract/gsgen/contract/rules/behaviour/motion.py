@@ -227,7 +227,8 @@ def _late_beginnings(behaviour: Behaviour) -> Iterator[Violation]:
     def frames_of(group: str) -> Iterator[tuple[int, float, str]]:
         for run in behaviour.trial_runs(group):
             time = float(run.probe.inputs[entry.name].flat[0])
-            yield entry.frame_at(time), time, run.digest
+            if run.digest:  # of a run that failed there is none
+                yield entry.frame_at(time), time, run.digest
 
     # What frames show is known where a run lies within them.
     shown = {

@@ -136,6 +136,7 @@ def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
         if manifest and manifest.kind not in role.kinds:
             expected = f"a role that a {manifest.kind} may take"
             hint = set_hint(f"{subject.path_of(entry)}.role", "control")
+            hint = hint if _may_be_slider(manifest.kind, tensor) else ""
             yield Violation.at(location, f"role {entry.role}", expected, hint=hint)
         if role.needs_range and entry.range is None:
             yield Violation.at(
@@ -150,13 +151,23 @@ def _declare_hint(subject: InspectedModel, tensor: Tensor) -> str:
     from gsgen.contract.spec.fields.json_schema import to_json
 
     inferred = infer_manifest(subject.graph, "").manifest.inputs
-    known = [to_json(entry) for entry in inferred if entry.name == tensor.name]
-    free = {"name": tensor.name, "role": "control", "range": [0, 1], "default": "zeros"}
     manifest = subject.manifest
-    if manifest is None or not (known or (static_dims(tensor) and tensor.dtype == "float32")):
+    if manifest is None:
+        return ""
+    known = [
+        to_json(entry)
+        for entry in inferred
+        if entry.name == tensor.name and manifest.kind in ROLES[entry.role].kinds
+    ]
+    free = {"name": tensor.name, "role": "control", "range": [0, 1], "default": "zeros"}
+    if not (known or (static_dims(tensor) and _may_be_slider(manifest.kind, tensor))):
         return ""
     hint = set_hint(f"inputs.{len(manifest.inputs)}", [*known, free][0])
     return hint if known else f"If people set it: {hint} Else bake it into the model before export."
+
+
+def _may_be_slider(kind: str, tensor: Tensor) -> bool:
+    return kind in ROLES["control"].kinds and tensor.dtype in ROLES["control"].dtype
 
 
 def _feed_faults(subject: InspectedModel, entry: Input, tensor: Tensor) -> Iterator[Violation]:

@@ -104,15 +104,19 @@ def _schema_hint(subject: InspectedModel, complaint: ManifestComplaint) -> str:
     if complaint.cause == "syntax" or complaint.expected == "a JSON object":
         return ""
     written, inferred = json.loads(text), to_json(infer_manifest(subject.graph, "").manifest)
-    missing = complaint.actual.removeprefix("no field ").strip("'")
+    _, _, missing = complaint.actual.partition("no field ")
     keys = [key for key in complaint.where.split(".") if key]
-    keys += [missing] if missing != complaint.actual else []
+    if complaint.expected.startswith("only the fields"):
+        path = ".".join([*keys, complaint.actual.strip("'")])
+        is_one = path.replace(".", "_").isidentifier()
+        return remove_hint(path, "correct its name") if is_one else ""
+    keys += [missing.strip("'")] if missing else []
     outputs = written.get("outputs")
     if isinstance(outputs, dict) and "gaussians" in outputs and written.get("kind") != GENERATOR:
         return set_hint("kind", GENERATOR)
     if written.get("kind") != GENERATOR or not keys:
         return ""
-    if keys[0] not in inferred and len(keys) > 1:
+    if keys[0] not in (*inferred, "inputs") and len(keys) > 1:
         # The field alone, if it may be absent, or what it belongs to, if nothing else needs that.
         path = ".".join(keys)
         if _may_lack(written, keys):
@@ -122,7 +126,8 @@ def _schema_hint(subject: InspectedModel, complaint: ManifestComplaint) -> str:
         if isinstance(written, list) and isinstance(inferred, list):
             written = written[int(key)]
             name = written.get("name") if isinstance(written, dict) else None
-            inferred = next((entry for entry in inferred if entry["name"] == name), None)
+            entries = [entry for entry in inferred if isinstance(entry, dict)]  # or numbers
+            inferred = next((entry for entry in entries if entry["name"] == name), None)
         elif isinstance(inferred, dict):
             written = written.get(key) if isinstance(written, dict) else None
             inferred = inferred.get(key)

@@ -78,7 +78,8 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
         return
     if _is_wasteful(max(counts), capacity) and declared is not None:
         actual = f"at most {max(counts)} of {capacity} rows, at {len(counts)} probes"
-        expected, hint = f"{_MIN_USED_SHARE:.0%} or more", _shrink_hint(subject, max(counts))
+        expected, line = f"{_MIN_USED_SHARE:.0%} or more", _shrink_hint(subject, max(counts))
+        hint = f"Lower the capacity to the largest count that occurs. If that is this one: {line}"
         yield Violation.at(f"output {declared.name}", actual, expected, hint=hint)
 
 

@@ -324,7 +324,7 @@ def _count_hint(subject: InspectedModel) -> str:
     has_name = any(tensor.name == "num_points" for tensor in subject.graph.outputs)
     if rows is None or declared is None or has_name:
         return ""
-    count = f"torch.full_like({rows.name}[:1, 0], {declared.capacity}).to(torch.int32)"
+    count = f"torch.full_like({rows.name}[:1, 0], {declared.capacity}, dtype=torch.int32)"
     entry = set_hint("outputs.count", {"name": "num_points"})
     return f"If all rows are live: {line_hint(f'num_points = {count}')} Return it, too. {entry}"
 

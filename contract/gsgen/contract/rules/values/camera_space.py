@@ -78,7 +78,17 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
             f"{hidden_share:.1%} where it looks away"
         )
         if not hidden_share:
+            if not _has_live_rows(probe_runs):
+                return  # another rule tells that the count is 0
             actual = (
                 f"no row is drawn from any of {len(rows_before_camera)} places that see the scene"
             )
         yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")
+
+
+def _has_live_rows(probe_runs: ProbeRuns) -> bool:
+    """Return whether the row count is above 0 at some probe."""
+    declared = probe_runs.subject.declared_count
+    runs = probe_runs.execution.runs[: probe_runs.plan.values]
+    outputs = [probe_runs.execution.samples[run.sample].outputs for run in runs]
+    return declared is not None and any(values[declared.name].any() for values in outputs)

@@ -35,9 +35,9 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
         if wrong_shape or (tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype):
             actual = f"{value.dtype} {list(value.shape)}"
             hint = ""
-            missing = 0 if dims is None or value.ndim != 2 else int(dims[0]) - len(value)
-            if missing > 0 and dims is not None and len(dims) == 2 and dims[1] == value.shape[1]:
-                fill = f"torch.cat([rows, torch.zeros({missing}, {dims[1]}, dtype=rows.dtype)])"
+            is_matrix = dims is not None and len(dims) == value.ndim == 2
+            if is_matrix and dims and int(dims[0]) > len(value) and dims[1] == value.shape[1]:
+                fill = f"torch.cat([rows, torch.zeros({dims[0]}, {dims[1]}, dtype=rows.dtype)])"
                 hint = f"Fill up with rows of zeros: {line_hint(f'rows = {fill}[:{dims[0]}]')}"
             yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared", hint=hint)
 

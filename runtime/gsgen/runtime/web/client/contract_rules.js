@@ -825,6 +825,7 @@ role = py.item(ROLES$4, entry.role);
 if ((py.bool(manifest) && (!py.contains(role.kinds, manifest.kind)))) {
 expected = `a role that a ${py.str(manifest.kind)} may take`;
 hint = set_hint$finding(`${py.str(subject.path_of(entry))}.role`, "control");
+hint = (py.bool(_may_be_slider$inputs(manifest.kind, tensor)) ? hint : "");
 yield py.violation(location, `role ${py.str(entry.role)}`, expected, undefined, undefined, hint);
 }
 if ((py.bool(role.needs_range) && (entry.range == null))) {
@@ -832,6 +833,9 @@ yield py.violation(location, `role ${py.str(entry.role)} without a range`, "\"ra
 }
 yield* py.iter(_feed_faults$inputs(subject, entry, tensor));
 }
+}
+function _may_be_slider$inputs(kind, tensor) {
+return py.and((py.contains(py.item(ROLES$4, "control").kinds, kind)), () => (py.contains(py.item(ROLES$4, "control").dtype, tensor.dtype)));
 }
 function* _feed_faults$inputs(subject, entry, tensor) {
   let actual, dims, expected, hint, kind, location, role, shapes;
