@@ -34,7 +34,10 @@ def fix(
         Path | None, typer.Option(help="JSON file with the manifest to embed.")
     ] = None,
     rename: Annotated[
-        bool, typer.Option("--rename", help="Rename outputs to the names that viewers expect.")
+        bool,
+        typer.Option(
+            "--rename", help="Give outputs the names that viewers expect, and list them first."
+        ),
     ] = False,
     sh_order: Annotated[
         Literal["channel-major"] | None,
