@@ -13,6 +13,10 @@ from gsgen.contract.validation.rule import rule
 # Culling is backwards if this fraction of the rows that are drawn behind the camera, or less, is
 # drawn in front of it.
 _MAX_VISIBLE_RATIO = 0.1
+_NOTHING_DRAWN_HINT = (
+    "Cull only rows behind the camera, whose depth along +z is below the near plane, and move a far "
+    "plane back. If the model does not cull, load the checkpoint before the export."
+)
 
 
 @rule(
@@ -73,6 +77,7 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
     hidden_share = float(np.mean(rows_behind_camera.drawn))
     visible_share = max(float(np.mean(entry.drawn)) for entry in rows_before_camera)
     if visible_share <= _MAX_VISIBLE_RATIO * hidden_share:
+        expected, hint = "culling with +z forward, not -z", ""
         actual = (
             f"{visible_share:.1%} of the rows are drawn where the camera looks at the scene, "
             f"{hidden_share:.1%} where it looks away"
@@ -83,7 +88,8 @@ def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
             actual = (
                 f"no row is drawn from any of {len(rows_before_camera)} places that see the scene"
             )
-        yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")
+            expected, hint = "rows that a camera sees", _NOTHING_DRAWN_HINT
+        yield Violation.at(f"output {declared.name}", actual, expected, hint=hint)
 
 
 def _has_live_rows(probe_runs: ProbeRuns) -> bool:
