@@ -207,8 +207,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
         elif entry.fps == 0:
             yield Violation.at(_input_location(entry), "fps 0", "frames per second above 0")
     if isinstance(subject.manifest, TrajectoryManifest) and not subject.manifest.step_seconds:
-        hint = f"{set_hint('step_seconds', 0.1)} Or to the time between two states in training."
-        yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0", hint=hint)
+        yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
 
 
 @rule("GI025", Severity.ERROR, needs=("GM004", "GI013"))
@@ -237,9 +236,16 @@ def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
         if entry.frames > numbers:
             actual = f"{entry.frames} frames in the range {list(entry.range)}"
             expected = f"{numbers} distinct frames at most"
-            fewer = set_hint(f"{subject.path_of(entry)}.frames", numbers)
-            hint = f"Let times start at 0. Or: {fewer}" if entry.role == "time" else ""
-            yield Violation.at(_input_location(entry), actual, expected, hint=hint)
+            yield Violation.at(
+                _input_location(entry), actual, expected, hint=_frames_hint(subject, entry, numbers)
+            )
+
+
+def _frames_hint(subject: InspectedModel, entry: Input, numbers: int) -> str:
+    if entry.role != "time":
+        return ""
+    fewer = set_hint(f"{subject.path_of(entry)}.frames", numbers)
+    return f"Let times start at 0. Or: {fewer}"
 
 
 @rule("GI018", Severity.ERROR, needs=("GM004", "GI015"), kinds=MANIFEST_KINDS)

@@ -135,8 +135,7 @@ def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
         role = ROLES[entry.role]
         if manifest and manifest.kind not in role.kinds:
             expected = f"a role that a {manifest.kind} may take"
-            hint = set_hint(f"{subject.path_of(entry)}.role", "control")
-            hint = hint if _may_be_slider(manifest.kind, tensor) else ""
+            hint = _slider_hint(subject, entry, tensor)
             yield Violation.at(location, f"role {entry.role}", expected, hint=hint)
         if role.needs_range and entry.range is None:
             yield Violation.at(
@@ -164,6 +163,13 @@ def _declare_hint(subject: InspectedModel, tensor: Tensor) -> str:
         return ""
     hint = set_hint(f"inputs.{len(manifest.inputs)}", [*known, free][0])
     return hint if known else f"If people set it: {hint} Else bake it into the model before export."
+
+
+def _slider_hint(subject: InspectedModel, entry: Input, tensor: Tensor) -> str:
+    """Return the hint to declare a slider, if the kind of model and the tensor allow one."""
+    kind = subject.manifest.kind if subject.manifest else ""
+    path = f"{subject.path_of(entry)}.role"
+    return set_hint(path, "control") if _may_be_slider(kind, tensor) else ""
 
 
 def _may_be_slider(kind: str, tensor: Tensor) -> bool:

@@ -824,8 +824,7 @@ continue;
 role = py.item(ROLES$4, entry.role);
 if ((py.bool(manifest) && (!py.contains(role.kinds, manifest.kind)))) {
 expected = `a role that a ${py.str(manifest.kind)} may take`;
-hint = set_hint$finding(`${py.str(subject.path_of(entry))}.role`, "control");
-hint = (py.bool(_may_be_slider$inputs(manifest.kind, tensor)) ? hint : "");
+hint = noHint(subject, entry, tensor);
 yield py.violation(location, `role ${py.str(entry.role)}`, expected, undefined, undefined, hint);
 }
 if ((py.bool(role.needs_range) && (entry.range == null))) {
@@ -833,9 +832,6 @@ yield py.violation(location, `role ${py.str(entry.role)} without a range`, "\"ra
 }
 yield* py.iter(_feed_faults$inputs(subject, entry, tensor));
 }
-}
-function _may_be_slider$inputs(kind, tensor) {
-return py.and((py.contains(py.item(ROLES$4, "control").kinds, kind)), () => (py.contains(py.item(ROLES$4, "control").dtype, tensor.dtype)));
 }
 function* _feed_faults$inputs(subject, entry, tensor) {
   let actual, dims, expected, hint, kind, location, role, shapes;
@@ -1096,7 +1092,7 @@ yield py.violation(_input_location$input_declarations(entry), actual, "radians, 
 }
 }
 function* frames_fit_range$input_declarations(subject) {
-  let actual, entry, high, low, numbers, size;
+  let actual, entry, expected, high, low, numbers, size;
 for (entry of py.iter(declared_inputs$input_declarations(subject))) {
 if (((!py.contains(_TIME_ROLES$15, entry.role)) || (entry.range == null) || (entry.frames == null))) {
 continue;
@@ -1110,7 +1106,8 @@ numbers = py.max([1, py.int((((py.minus(high, low)) / size) * 8388608))]);
 }
 if ((py.compare(entry.frames, numbers) > 0)) {
 actual = `${py.str(entry.frames)} frames in the range ${py.str(py.list(entry.range))}`;
-yield py.violation(_input_location$input_declarations(entry), actual, `${py.str(numbers)} distinct frames at most`);
+expected = `${py.str(numbers)} distinct frames at most`;
+yield py.violation(_input_location$input_declarations(entry), actual, expected, undefined, undefined, noHint(subject, entry, numbers));
 }
 }
 }
