@@ -156,3 +156,33 @@ def test_functions_give_what_torch_gives_at_edges() -> None:
         if not is_close.all():
             differences[name] = (result[~is_close][:4], expected[~is_close][:4])
     assert set(differences) == set(KNOWN_DIFFERENCES), differences
+
+
+def traced(function: Callable[[Tensor], Tensor], values: Tensor) -> ir.Model:
+    """Return the graph of a function."""
+
+    class Function(torch.nn.Module):
+        forward = staticmethod(function)
+
+    probe = Probe(label="edges", inputs={"x": values.numpy()})
+    return trace_module(Function(), probe, TensorNames(("x",), ("y",)), 18, where="Function")
+
+
+def test_large_quotients_are_whole_ones_of_torch() -> None:
+    """From 2²³ on, half a number more is rounded to the next even number."""
+    values = torch.arange(2**23, 2**23 + 999) * 3.0 + 1
+    model = ir.serde.serialize_model(traced(lambda x: x // 3, values)).SerializeToString()
+    (result,) = onnxruntime.InferenceSession(model).run(None, {"x": values.numpy()})
+    np.testing.assert_array_equal(result, (values // 3).numpy())
+
+
+def test_whole_divisors_need_no_remainder() -> None:
+    """`time % 1` and `x // 2` are as short as with 1.0 and 2.0."""
+    for function, operators in (
+        (lambda x: x % 1, ["Floor", "Mul", "Sub"]),
+        (lambda x: x % 2, ["Div", "Floor", "Mul", "Sub"]),
+        (lambda x: x // -2, ["Div", "Floor"]),
+    ):
+        graph = traced(function, torch.tensor([3.0, -0.5])).graph
+        assert [node.op_type for node in graph] == operators
+    assert "Mod" in [node.op_type for node in traced(lambda x: x % 3, FLOATS).graph]

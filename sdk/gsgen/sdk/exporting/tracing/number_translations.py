@@ -185,16 +185,23 @@ def _translate_floor_division(a: Any, b: Any) -> Any:
     quotient = _OPSET18.Where(
         _is_between(remainder, b, kind), _OPSET18.Sub(quotient, one), quotient
     )
-    floor = _OPSET18.Floor(_OPSET18.Add(quotient, half))  # its rounding leaves almost whole numbers
+    # Its rounding leaves almost whole numbers. Half a number more may be rounded to one more.
+    floor = _OPSET18.Floor(quotient)
+    is_below = _OPSET18.Greater(_OPSET18.Sub(quotient, floor), half)
+    floor = _OPSET18.Where(is_below, _OPSET18.Add(floor, one), floor)
     return _OPSET18.Where(_OPSET18.Equal(b, zero), _OPSET18.Div(a, b), floor)
 
 
 def _is_power_of_two(number: Any) -> bool:
-    return (
-        isinstance(number, int | float)
-        and math.isfinite(number)
-        and abs(math.frexp(number)[0]) == 0.5
-    )
+    if not isinstance(number, int | float):  # an integer beside floats: torch casts it to their type
+        cast = number.producer()
+        if cast is None or cast.op_type != "Cast":
+            return False
+        constant = ir.convenience.get_const_tensor(cast.inputs[0])
+        if constant is None or constant.size != 1:
+            return False
+        number = float(constant.numpy().item())
+    return math.isfinite(number) and abs(math.frexp(number)[0]) == 0.5
 
 
 def _is_between(remainder: Any, divisor: Any, kind: ir.DataType) -> Any:
