@@ -1,6 +1,7 @@
 """torch's functions of single numbers and reductions at zeros, ties, infinities and NaN."""
 
 import operator
+from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any
@@ -114,7 +115,7 @@ def calls() -> Iterator[tuple[str, Call]]:
         )
     for limits in ((0, 1), (None, 1), (0, None), (2.0, 1.0)):
         yield f"clamp(x, {limits[0]}, {limits[1]})", named(torch.clamp, "x", *limits)
-    for name, number in product(("floordiv", "mod", "truediv"), (2.0, -3, 0.3, INF)):
+    for name, number in product(("floordiv", "mod", "truediv"), (2.0, -3, 0.3, -0.7, INF, -INF)):
         function = getattr(operator, name)
         yield f"{name}(x, {number})", named(function, "x", number)
         yield f"{name}({number}, x)", named(function, number, "x")
@@ -158,31 +159,31 @@ def test_functions_give_what_torch_gives_at_edges() -> None:
     assert set(differences) == set(KNOWN_DIFFERENCES), differences
 
 
-def traced(function: Callable[[Tensor], Tensor], values: Tensor) -> ir.Model:
-    """Return the graph of a function."""
+class Divided(torch.nn.Module):
+    """Quotients and remainders of known divisors."""
 
-    class Function(torch.nn.Module):
-        forward = staticmethod(function)
-
-    probe = Probe(label="edges", inputs={"x": values.numpy()})
-    return trace_module(Function(), probe, TensorNames(("x",), ("y",)), 18, where="Function")
+    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
+        return x // 3, x % 0.3, x % 2, x // -2
 
 
-def test_large_quotients_are_whole_ones_of_torch() -> None:
-    """From 2²³ on, half a number more is rounded to the next even number."""
+def test_large_quotients_are_those_of_torch_and_known_divisors_take_few_operators() -> None:
+    """From 2²³ on, half a number more is the next even number; 2 is a float beside floats."""
     values = torch.arange(2**23, 2**23 + 999) * 3.0 + 1
-    model = ir.serde.serialize_model(traced(lambda x: x // 3, values)).SerializeToString()
-    (result,) = onnxruntime.InferenceSession(model).run(None, {"x": values.numpy()})
-    np.testing.assert_array_equal(result, (values // 3).numpy())
-
-
-def test_whole_divisors_need_no_remainder() -> None:
-    """`time % 1` and `x // 2` are as short as with 1.0 and 2.0."""
-    for function, operators in (
-        (lambda x: x % 1, ["Floor", "Mul", "Sub"]),
-        (lambda x: x % 2, ["Div", "Floor", "Mul", "Sub"]),
-        (lambda x: x // -2, ["Div", "Floor"]),
-    ):
-        graph = traced(function, torch.tensor([3.0, -0.5])).graph
-        assert [node.op_type for node in graph] == operators
-    assert "Mod" in [node.op_type for node in traced(lambda x: x % 3, FLOATS).graph]
+    feeds = {"x": values.numpy()}
+    names = TensorNames(("x",), ("third", "rest", "odd", "half"))
+    model = trace_module(Divided(), Probe(label="large", inputs=feeds), names, 18, where="Divided")
+    operators = Counter(node.op_type for node in model.graph)
+    assert operators == {
+        "Mod": 2,
+        "Less": 2,
+        "Where": 3,
+        "Greater": 1,
+        "Add": 2,
+        "Sub": 4,
+        "Div": 3,
+        "Floor": 3,
+        "Mul": 1,
+    }
+    session = onnxruntime.InferenceSession(ir.serde.serialize_model(model).SerializeToString())
+    for result, expected in zip(session.run(None, feeds), Divided()(values), strict=True):
+        np.testing.assert_array_equal(result, expected.numpy())

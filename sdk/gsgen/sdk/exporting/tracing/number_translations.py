@@ -160,53 +160,64 @@ def _translate_remainder(a: Any, b: Any) -> Any:
     A quotient in floats is rounded up to whole numbers: ⌊1 / 0.1⌋ is 10, although 10 times the
     float 0.1 is more than 1. Quotients by a power of two are exact.
     """
-    is_power_of_two = _is_power_of_two(b)
+    known = _known_number(b)
     a, b, kind = _promoted(a, b)
     if not kind.is_floating_point():
         return _OPSET18.Mod(a, b)
-    if is_power_of_two:
+    if _is_power_of_two(known):
         return _OPSET18.Sub(a, _OPSET18.Mul(_OPSET18.Floor(_OPSET18.Div(a, b)), b))
     remainder = _OPSET18.Mod(a, b, fmod=1)
-    is_before_zero = _is_between(remainder, b, kind)
+    is_before_zero = _is_between(remainder, b, kind, known)
     return _OPSET18.Where(is_before_zero, _OPSET18.Add(remainder, b), remainder)
 
 
 def _translate_floor_division(a: Any, b: Any) -> Any:
     """Translate ``a // b``, in floats by the remainder: see `_translate_remainder`."""
-    is_power_of_two = _is_power_of_two(b)
+    known = _known_number(b)
     a, b, kind = _promoted(a, b)
     if not kind.is_floating_point():
         return _integer_quotient(a, b, kind, is_floor=True)
-    if is_power_of_two:
+    if _is_power_of_two(known):
         return _OPSET18.Floor(_OPSET18.Div(a, b))
     zero, half, one = _numbers(kind, 0.0, 0.5, 1.0)
     remainder = _OPSET18.Mod(a, b, fmod=1)
     quotient = _OPSET18.Div(_OPSET18.Sub(a, remainder), b)
     quotient = _OPSET18.Where(
-        _is_between(remainder, b, kind), _OPSET18.Sub(quotient, one), quotient
+        _is_between(remainder, b, kind, known), _OPSET18.Sub(quotient, one), quotient
     )
     # Its rounding leaves almost whole numbers. Half a number more may be rounded to one more.
     floor = _OPSET18.Floor(quotient)
     is_below = _OPSET18.Greater(_OPSET18.Sub(quotient, floor), half)
     floor = _OPSET18.Where(is_below, _OPSET18.Add(floor, one), floor)
+    if known:
+        return floor
     return _OPSET18.Where(_OPSET18.Equal(b, zero), _OPSET18.Div(a, b), floor)
 
 
-def _is_power_of_two(number: Any) -> bool:
-    if not isinstance(number, int | float):  # an integer beside floats: torch casts it to their type
-        cast = number.producer()
-        if cast is None or cast.op_type != "Cast":
-            return False
-        constant = ir.convenience.get_const_tensor(cast.inputs[0])
-        if constant is None or constant.size != 1:
-            return False
-        number = float(constant.numpy().item())
-    return math.isfinite(number) and abs(math.frexp(number)[0]) == 0.5
+def _known_number(number: Any) -> float | None:
+    """Return a number, also a whole one that torch casts to the type of the floats beside it."""
+    if isinstance(number, int | float):
+        return number
+    cast = number.producer()
+    if cast is None or cast.op_type != "Cast":
+        return None
+    constant = ir.convenience.get_const_tensor(cast.inputs[0])
+    return None if constant is None or constant.size != 1 else float(constant.numpy().item())
 
 
-def _is_between(remainder: Any, divisor: Any, kind: ir.DataType) -> Any:
-    """Return where a remainder with the dividend's sign is not 0, and has not the divisor's sign."""
+def _is_power_of_two(number: float | None) -> bool:
+    return number is not None and math.isfinite(number) and abs(math.frexp(number)[0]) == 0.5
+
+
+def _is_between(remainder: Any, divisor: Any, kind: ir.DataType, known: float | None = None) -> Any:
+    """Return where a remainder with the dividend's sign is not 0, and has not the divisor's sign.
+
+    The divisor may be known.
+    """
     (zero,) = _numbers(kind, 0.0)
+    if known is not None:
+        compare = _OPSET18.Greater if known < 0 else _OPSET18.Less
+        return compare(remainder, zero)
     is_whole = _OPSET18.Equal(remainder, zero)
     differs = _OPSET18.Xor(_OPSET18.Less(remainder, zero), _OPSET18.Less(divisor, zero))
     return _OPSET18.And(_OPSET18.Not(is_whole), differs)
