@@ -234,6 +234,7 @@ def test_body_without_a_length_ends_with_the_connection() -> None:
         ([b'ETag: W/"1"'], 'W/"1"'),
         ([b"Last-Modified: Mon, 30 Nov 2026 14:00:00 GMT"], "Mon, 30 Nov 2026 14:00:00 GMT"),
         ([], ""),
+        ([b'ETag: "1"', b"Cache-Control: private, No-Store"], ""),
         ([b'ETag: "1\x01"'], ""),
         ([b'ETag: "\xe9"'], ""),
         ([b'ETag: "%s"' % (b"1" * 2000)], ""),

@@ -190,6 +190,8 @@ class WebClient:
     ) -> tuple[bytes | None, str]:
         """Return the bytes of a file, and the validator of this version; None if they are the same.
 
+        The validator is empty if the server tells none, or forbids to store the file.
+
         Args:
             address: Of the file.
             validator: Of the version that is there, its ``ETag`` or date; empty without one.
@@ -211,7 +213,8 @@ class WebClient:
             return None, validator
         told = response.getheader("ETag") or response.getheader("Last-Modified") or ""
         is_plain = told.isascii() and told.isprintable() and len(told) <= _MAX_VALIDATOR
-        return data.getvalue(), told if is_plain else ""
+        may_keep = "no-store" not in response.getheader("Cache-Control", "").lower()
+        return data.getvalue(), told if is_plain and may_keep else ""
 
     def copy(
         self,
