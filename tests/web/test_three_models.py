@@ -275,6 +275,23 @@ def test_opacity_and_modes_are_those_of_the_object(
     shown.evaluate("person.mode = 'color'")
 
 
+def test_models_stand_upright_whatever_their_upward_axis(shown: Any) -> None:
+    upward = shown.evaluate(
+        """async () => {
+          const { ThreeModel, loadThree } = await import("gsgen/engines/three.js");
+          const modules = await loadThree();
+          return [0, 1, 2].flatMap((axis) => [-1, 1].map((sign) => {
+            const up = [0, 0, 0].with(axis, sign);
+            const model = new ThreeModel(modules, { ...person.frames, up, destroy() {} });
+            const turned = new THREE.Vector3(...up).applyMatrix4(model.object.children[0].matrix);
+            model.destroy();
+            return turned.toArray();
+          }));
+        }"""
+    )
+    np.testing.assert_allclose(upward, [[0, 1, 0]] * 6, atol=1e-6)
+
+
 def test_models_of_a_clock_show_the_same_moment_and_pictures_never_wait(shown: Any) -> None:
     answer = shown.evaluate("""async () => {
       const { ThreeClock, ThreeModel } = await import("gsgen/engines/three.js");
@@ -404,7 +421,12 @@ _HANDS = """async () => {
   await press(right, "trigger", 1);
   await press(right, "trigger", 0);
   results.push(places());
-  return results;
+  // 4. The headset is put away while a hand holds the person.
+  await to(right, ...person.sphere.center.toArray());
+  await press(right, "squeeze", 1);
+  const held = hands._held.size;
+  await renderer.xr.getSession().end();
+  return [...results, [held, hands._held.size]];
 }"""
 
 
@@ -437,7 +459,7 @@ def test_each_eye_is_the_picture_of_its_camera_by_one_sort_upload_and_run(
 
 
 def test_controllers_grab_scale_and_teleport(headset: Any) -> None:
-    start, moved, released, scaled, away = headset.evaluate(_HANDS)
+    start, moved, released, scaled, away, held = headset.evaluate(_HANDS)
     shift = np.subtract(moved["position"], start["position"])
     np.testing.assert_allclose(shift, [0.3, 0, -0.1], atol=1e-6)
     np.testing.assert_allclose(moved["scale"], start["scale"], rtol=1e-5)
@@ -446,3 +468,4 @@ def test_controllers_grab_scale_and_teleport(headset: Any) -> None:
     np.testing.assert_allclose(scaled["turn"], start["turn"], atol=1e-6)
     assert away["position"] == scaled["position"]
     np.testing.assert_allclose(away["rig"], [-0.2, 0, 0.6 - 2.5], atol=1e-5)
+    assert held == [1, 0]

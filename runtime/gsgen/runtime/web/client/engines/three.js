@@ -47,9 +47,9 @@ export class ThreeModel {
     this._seen = ""; // the camera for which Gaussians are widened
     const splats = this._gaussians.object;
     splats.applyMatrix4(new three.Matrix4().fromArray(transposed4([...frames.transform])));
-    const [, y, z] = frames.up;
-    const turn = y < 0 ? Math.PI : z > 0 ? -Math.PI / 2 : 0; // three.js has y up
-    splats.applyMatrix4(new three.Matrix4().makeRotationX(turn));
+    const [x, y, z] = frames.up;
+    const turn = new three.Euler(y < 0 ? Math.PI : (-z * Math.PI) / 2, 0, (x * Math.PI) / 2); // three.js has y up
+    splats.applyMatrix4(new three.Matrix4().makeRotationFromEuler(turn));
     this._splats = splats;
     /** What scenes hold: place, turn and scale are free. */
     this.object = new three.Group();

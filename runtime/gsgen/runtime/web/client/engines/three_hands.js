@@ -21,7 +21,7 @@ export class ThreeHands {
     this.controllers = [0, 1].map((index) => {
       const controller = renderer.xr.getController(index);
       controller.addEventListener("squeezestart", () => this._grab(controller));
-      controller.addEventListener("squeezeend", () => this._release(controller));
+      for (const end of ["squeezeend", "disconnected"]) controller.addEventListener(end, () => this._release(controller));
       controller.addEventListener("select", () => this._teleport(controller));
       rig.add(controller);
       return controller;
@@ -33,7 +33,7 @@ export class ThreeHands {
     this._rig.updateWorldMatrix(true, true);
     for (const [{ object }, { hands, start, inverse }] of this._held) {
       const pose = this._pose(hands);
-      if (pose.determinant() === 0) continue;
+      if (pose.determinant() * inverse.determinant() === 0) continue; // two hands at one place
       const world = pose.multiply(inverse).multiply(start);
       if (object.parent) world.premultiply(object.parent.matrixWorld.clone().invert());
       world.decompose(object.position, object.quaternion, object.scale);
