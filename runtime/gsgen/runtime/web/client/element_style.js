@@ -11,7 +11,7 @@ canvas, img, video, [part=annotations] { position: absolute; inset: 0; width: 10
 canvas { touch-action: pan-y; outline-offset: -3px }
 canvas:focus-visible { outline: 3px solid var(--gsgen-accent, #6cf) }
 [part=annotations], video { pointer-events: none; overflow: hidden }
-video { height: calc(100% - 2.6rem) }
+video { height: calc(100% - 2.6rem); object-position: 100vw; object-fit: none }
 [part=annotations] > div { position: absolute; top: 0; left: 0 }
 ::slotted(*), [part=annotation] { pointer-events: auto; transform: translate(-50%, -50%) }
 [part=annotations] [part=annotation] { display: block; width: max-content; height: auto; padding: .1rem .5rem; background: #000b; color: #fff }

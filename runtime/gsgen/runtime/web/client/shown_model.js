@@ -63,10 +63,9 @@ export class PlacedModel {
   async useSound(root, signal) {
     const { playback, model: { sound } } = this;
     if (!sound || !playback) return;
-    const { start, addresses } = sound;
-    const files = await Promise.all(addresses.map((address) => address && download(address, undefined, signal)));
+    const files = await Promise.all(sound.addresses.map((address) => address && download(address, undefined, signal)));
     const { Sound } = await import("./sound.js");
-    if (!this.isDestroyed) this._sound = new Sound(root, playback, start, files);
+    if (!this.isDestroyed) await (this._sound = new Sound(root, playback, sound.start, files)).failed;
   }
 
   /** Play the sound of the present time, and take the camera, where a timeline has cameras. */
