@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from gsgen.contract.errors import GsgenError
+from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.sources.key_frames import EASINGS, KeyFrames
 from gsgen.runtime.sources.scene_file import read_scene
+from gsgen.runtime.web.pages import files_shown
 from support.scene_documents import READ, WRONG
 from support.web.packages import package
 from support.web.pages import CLIENT
@@ -117,3 +119,37 @@ def test_key_frames_have_the_values_of_python() -> None:
     assert result.stderr == ""
     expected = [keys.at(moment) for moment in moments]
     np.testing.assert_allclose(json.loads(result.stdout), expected, atol=1e-15, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "is_given"),
+    [
+        ("speech.wav", b"RIFF\0\0\0\0WAVEfmt ", True),
+        ("speech.mp3", b"ID3\x04 and more", True),
+        ("speech.aac", b"\xff\xf1\x50\x80", True),
+        ("speech.m4a", b"\0\0\0\x20ftypM4A ", True),
+        ("speech.vtt", b"\xef\xbb\xbfWEBVTT\n\n", True),
+        ("passwd", b"root:x:0:0:root:/root:/bin/bash\n", False),
+        ("speech.wav", b"-----BEGIN OPENSSH PRIVATE KEY-----", False),
+        ("speech.wav", b"", False),
+        ("none.wav", None, False),
+        ("speech\0.wav", None, False),
+    ],
+)
+def test_pages_get_no_other_file_as_sound(
+    tmp_path: Path, name: str, data: bytes | None, is_given: bool
+) -> None:
+    """A scene file of others may name any file, also by a path out of its folder."""
+    (tmp_path / "scene").mkdir()
+    scene = tmp_path / "scene" / "scene.json"
+    sound = {"path": f"../{name}"}
+    models = [{"path": "still.ply"}]
+    scene.write_text(json.dumps({"gsgen_scene": "1.0", "models": models, "sound": sound}))
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    _, file = files_shown([scene])
+    if is_given:
+        assert file.content() == data
+        return
+    with pytest.raises(SceneUnreadable, match=r"is no sound|No such file|null byte"):
+        file.content()

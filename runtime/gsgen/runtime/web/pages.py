@@ -41,6 +41,12 @@ _CLIENT_FOLDER: Final = files("gsgen.runtime.web").joinpath("client")
 _MODULE_PREFIX: Final = "gsgen/"
 _PAGE_FORMATS: Final = ("ply", "compressed-ply", "spz", "glb", "sog", "ksplat", "splat")
 """The formats that pages read, where all of a scene is in one file."""
+_SOUND: Final = re.compile(
+    rb"RIFF.{4}WAVE|ID3|\xff[\xe2\xe3\xf1-\xf3\xf9-\xfb]|fLaC|OggS|.{4}ftyp|\x1aE\xdf\xa3|(\xef\xbb\xbf)?WEBVTT",
+    re.DOTALL,
+)
+"""The first bytes of recordings, and of captions."""
+_HEAD_BYTES: Final = 12  # that tell a recording
 _TEXT_START: Final = b"{"  # of a .gltf or meta.json, which name other files
 _PAGE_STYLE: Final = """
 body { margin: 0; background: #16181c; color: #e8eaed; font: 16px/1.5 system-ui, sans-serif }
@@ -170,9 +176,18 @@ class PageFile:
         if not self.is_sound:
             return mesh_bytes(self.path) if self.is_mesh else model_bytes(self.path, read)
         try:
-            return self.path.read_bytes()
-        except OSError as error:
-            raise SceneUnreadable(error.strerror or str(error), where=str(self.path)) from error
+            with open(self.path, "rb") as file:
+                head = file.read(_HEAD_BYTES)
+                if _SOUND.match(head):
+                    return head + file.read()
+        except (OSError, ValueError) as error:
+            message = getattr(error, "strerror", None) or str(error)
+            raise SceneUnreadable(message, where=str(self.path)) from error
+        # Scene files of others may name any file: what no browser plays is not given to pages.
+        message = (
+            "is no sound, expected WAV, MP3, AAC, FLAC, Ogg, MP4 or WebM, and captions in WebVTT"
+        )
+        raise SceneUnreadable(message, where=str(self.path))
 
 
 def files_shown(paths: Iterable[Path]) -> list[PageFile]:
