@@ -14,6 +14,7 @@ from gsgen.contract.spec import layout
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.formats import Splats, write_ply, write_sog
+from gsgen.reference_plugins.sequences.segmented_clip import _is_exported
 from gsgen.reference_plugins.sequences.synthetic_sequence import write_sequence
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.sources.opening import open_source
@@ -176,6 +177,22 @@ def test_sound_and_the_upward_axis_are_written_and_the_scene_file_is_checked(fol
         assert (ran.code, copies.exists()) == (2, False)
         assert message in ran.err
     words = [str(word) for pair in files.items() for word in pair]
+    (folder / "mine").mkdir()
+    for name in ("speech.wav", "speech.vtt"):
+        other = folder / "mine" / name
+        other.write_bytes(b"kept")
+        ran = gsgen_here(
+            "export", "sequence", str(folder / "frames"), "-o", str(folder / "mine.json"), *words
+        )
+        assert ran.code == 2
+        assert f"has the name of {other}, which its copy would replace" in ran.err
+        assert [file.read_bytes() for file in (folder / "mine").iterdir()] == [b"kept"]
+        other.unlink()
+    (folder / "mine" / "speech.wav").write_bytes(b"other captions")
+    same_name = ["--sound", words[1], "--captions", str(folder / "mine" / "speech.wav")]
+    ran = gsgen_here("export", "sequence", str(folder / "frames"), "-o", str(scene), *same_name)
+    assert (ran.code, copies.exists()) == (2, False)
+    assert "has the name of" in ran.err
     ran = gsgen_here(
         "export",
         "sequence",
@@ -192,6 +209,7 @@ def test_sound_and_the_upward_axis_are_written_and_the_scene_file_is_checked(fol
     assert open_source(copies / "0001.onnx").up == (0, 1, 0)
     sound = document["sound"]
     assert sound == {"path": "spoken/speech.wav", "captions": "spoken/speech.vtt"}
+    assert _is_exported("speech.wav", scene)
     assert (copies / "speech.wav").read_bytes() == (folder / "speech.wav").read_bytes()
     assert (copies / "speech.vtt").read_bytes() == (folder / "speech.vtt").read_bytes()
     assert "GC007" in ran.out  # the recording lasts 2 seconds, the frames 0.9

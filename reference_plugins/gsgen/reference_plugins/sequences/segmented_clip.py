@@ -18,6 +18,7 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from filecmp import cmp
 from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
@@ -155,7 +156,7 @@ class ClipExport(GraphSource):
         folder = path.with_suffix("")
         name = options.pop("name") or path.stem
         _require_own_folder(folder, path, self.files.paths)
-        sound = self._sound(folder)
+        sound = self._sound(path, folder)
         (folder / _DRAFTS).mkdir(parents=True, exist_ok=True)
         tasks = list(self._tasks(folder, {**options, "name": name}))
         records: dict[int, dict[str, Any]] = {}
@@ -206,7 +207,7 @@ class ClipExport(GraphSource):
         )
         return _result(path, files, segments, manifest, report)
 
-    def _sound(self, folder: Path) -> dict[str, Path]:
+    def _sound(self, scene: Path, folder: Path) -> dict[str, Path]:
         """Return the files of the scene's sound by their fields."""
         if self.captions is not None and self.sound is None:
             hint = "Give the recording: --sound FILE."
@@ -218,6 +219,15 @@ class ClipExport(GraphSource):
                 raise ConfigInvalid("is no file", where=f"{option} {file}")
             if _SEGMENT_NAME.fullmatch(file.name):
                 raise ConfigInvalid("is named as a segment", where=f"{option} {file}")
+            others = [
+                *sound.values(),
+                *([] if _is_exported(file.name, scene) else [folder / file.name]),
+            ]
+            for other in others:
+                if other.name == file.name and other.is_file() and not cmp(file, other, False):
+                    message = f"has the name of {other}, which its copy would replace"
+                    hint = "Give one of the two another name."
+                    raise ConfigInvalid(message, where=f"{option} {file}", hint=hint)
         return sound
 
     def _check(
@@ -350,13 +360,18 @@ def _require_own_folder(folder: Path, scene: Path, frames: Sequence[Path]) -> No
     if any(frame.parent.samefile(folder) for frame in frames):
         message = "holds the frames, expected a folder for the segments alone"
         raise ConfigInvalid(message, where=str(folder), hint=hint)
-    if (folder / _DRAFTS).exists():  # of an export that was stopped
-        return
-    earlier = scene.read_text("utf-8", "replace") if scene.is_file() else ""
     for file in sorted(folder.iterdir()):
-        if _SEGMENT_NAME.fullmatch(file.name) and f'/{file.name}"' not in earlier:
+        if _SEGMENT_NAME.fullmatch(file.name) and not _is_exported(file.name, scene):
             message = f"is no segment of {scene}, expected a folder for its segments alone"
             raise ConfigInvalid(message, where=str(file), hint=hint)
+
+
+def _is_exported(name: str, scene: Path) -> bool:
+    """Return whether a file of a scene's folder is one of an earlier export."""
+    if (scene.with_suffix("") / _DRAFTS).exists():  # of an export that was stopped
+        return True
+    earlier = scene.read_text("utf-8", "replace") if scene.is_file() else ""
+    return f"/{json.dumps(name)[1:]}" in earlier
 
 
 def _remove_others(folder: Path, files: Sequence[Path]) -> None:
