@@ -42,6 +42,7 @@ export class ThreeModel {
     this._frame = null;
     /** @type {any[]} Inputs that the frame was computed of. */
     this._cause = [];
+    this._isDestroyed = false;
     /** @type {import("../camera.js").Camera | null} Of the last picture, in the rows' axes. */
     this._camera = null;
     this._seen = ""; // the camera for which Gaussians are widened
@@ -114,7 +115,7 @@ export class ThreeModel {
     const { frames, values, _playback: playback, _camera: camera } = this;
     const time = playback && valueOfTime(playback, playback.timeIn(seconds) / playback.duration);
     const cause = [time, values, frames.followsCamera && JSON.stringify(camera)];
-    if (this._frame && cause.every((part, index) => part === this._cause[index])) return null;
+    if (this._isDestroyed || (this._frame && cause.every((part, index) => part === this._cause[index]))) return null;
     const frame = await frames.run(frames.time ? { [frames.time.name]: time, ...values } : values, camera ?? undefined);
     this._cause = cause;
     return frame;
@@ -166,6 +167,7 @@ export class ThreeModel {
 
   /** Remove its object, and release its memory. */
   destroy() {
+    this._isDestroyed = true;
     this.object.removeFromParent();
     this._gaussians.destroy();
     this.frames.destroy();
