@@ -121,7 +121,10 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         can_be_zeroed=True,
     )
     clamp = line_hint("rows[:, 3] = rows[:, 3].clamp(0, 1)")
-    general = f"Apply the activation once and before packing. If a network gives such: {clamp}"
+    general = (
+        "Apply the activation, usually a sigmoid, once and before packing. "
+        f"If a network gives such: {clamp}"
+    )
     yield replace(violation, hint=violation.hint or general)
 
 
