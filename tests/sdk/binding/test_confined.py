@@ -123,6 +123,17 @@ def test_an_interrupted_frame_fails_and_the_session_goes_on(endless_model: Path)
         assert session.run({"time": 0.0}).count > 0
 
 
+def test_a_frame_that_begins_while_stopped_fails(endless_model: Path) -> None:
+    """A request to stop may come before the frame does, by another thread."""
+    stop = Stop()
+    with FrameSession(endless_model, provider="cpu", confined=True, stop=stop) as session:
+        stop.now()
+        with pytest.raises(RunFailed, match="terminate flag"):
+            session.run({"time": 1.0})
+        stop.reset()
+        assert session.run({"time": 0.0}).count > 0
+
+
 def test_a_process_killed_from_outside_is_a_fault_of_the_host(models: dict[str, Path]) -> None:
     before = process_ids()
     with FrameSession(models["drift-float32"], provider="cpu", confined=True) as session:

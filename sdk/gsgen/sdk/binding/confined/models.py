@@ -22,6 +22,7 @@ from gsgen.contract.process.parent_watchdog import child_environment, python_com
 from gsgen.sdk.binding.bound.bound_session import host_bytes
 from gsgen.sdk.binding.confined.messages import Message, error_of, receive, send
 from gsgen.sdk.binding.confined.shared_arrays import SharedMemory, create_memory_file
+from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SessionClosed
 
 CAN_CONFINE: Final = hasattr(socket, "send_fds")
@@ -264,6 +265,7 @@ class Channel:
         self._child, self._socket, self._number = child, socket, number
         self._session_location, self._is_last_session = where, is_last
         self._frame, self._is_pending = 0, False
+        self._stop: Stop | None = None
 
     def ask(self, message: Message | None, action: str) -> Message:
         """Send a message, and return the reply; the process is killed at the time limit.
@@ -282,6 +284,8 @@ class Channel:
             self._socket.settimeout(self._child.limits.seconds)
             if message is not None:
                 send(self._socket, message)
+            if self._stop is not None and self._stop.requested:
+                self.cancel()
             reply, _ = receive(self._socket)
         except TimeoutError:
             limit = f"{self._child.limits.seconds:g} s, the time limit (--timeout)"
@@ -298,6 +302,11 @@ class Channel:
         if "error" in reply:
             raise error_of(reply)
         return reply
+
+    def follow(self, stop: Stop) -> None:
+        """Cancel pending runs when a stop is requested, and later ones until it is reset."""
+        self._stop = stop
+        stop.call(self.cancel)
 
     def run(self, changed: Iterable[str]) -> None:
         """Compute a frame with the inputs in shared memory; ``changed`` names those that differ."""

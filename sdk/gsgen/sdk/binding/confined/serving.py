@@ -61,6 +61,7 @@ class _Session:
         self._request, self._job_settings = request, job
         self._host_limit = job["host_limit"]
         self._stop, self._frame, self._lock = Stop(), 0, threading.Lock()
+        self._stopped_frame: int | None = None
 
     def serve(self) -> None:
         """Open the model, then run it for each message, until the channel is closed."""
@@ -83,8 +84,9 @@ class _Session:
             session.bound.close()
 
     def stop_frame(self, number: int) -> None:
-        """Cancel the run of a frame, if that is the one that runs."""
+        """Cancel the run of a frame, if that is the one that runs, or when it begins."""
         with self._lock:
+            self._stopped_frame = number  # its own message may come later, by another channel
             if number == self._frame:
                 self._stop.now()
 
@@ -137,7 +139,10 @@ class _Session:
             return {}
         with self._lock:
             self._frame = message["frame"]
-            self._stop.reset()
+            if self._frame == self._stopped_frame:
+                self._stop.now()
+            else:
+                self._stop.reset()
         limit_processor_time(self._job_settings["seconds"])
         with self._device_lock:
             for name in message["changed"]:

@@ -155,7 +155,7 @@ def open_confined(
     channel = models.open(sources.file, request)
     try:
         if stop is not None:
-            stop.call(channel.cancel)
+            channel.follow(stop)
         facts = channel.ask(None, "loading the model")
         return ConfinedSession(sources, channel, facts)
     except BaseException:
