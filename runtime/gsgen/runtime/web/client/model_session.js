@@ -55,6 +55,7 @@ export class ModelSession {
     /** @type {Record<string, GpuTensor>} */
     this._constants = {};
     this._outputs = null;
+    this._lacksHalf = false; // of a session that failed once, later runs fail in other words
   }
 
   /** Run a frame; return its outputs by name. @returns {Promise<Record<string, GpuTensor>>} */
@@ -71,9 +72,8 @@ export class ModelSession {
     try {
       return await runInTurn(() => session.run(this.inputs.feeds));
     } catch (error) {
-      if (/requires f16|float16/.test(error.message) && !this._device.features.has("shader-f16")) {
-        failing(this._name)("computes in float16, which this graphics device does not", "Export it with --dtype float32.");
-      }
+      this._lacksHalf ||= /requires f16|float16/.test(error.message) && !this._device.features.has("shader-f16");
+      if (this._lacksHalf) failing(this._name)("computes in float16, which this graphics device does not", "Export it with --dtype float32.");
       const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
       throw new GsgenError(`the model fails: ${error.message}`, { where: this._name, hint });
     }
