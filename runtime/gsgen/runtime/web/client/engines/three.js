@@ -200,15 +200,19 @@ export class ThreeClock {
   update(now) {
     if (!this.paused && this._last !== null) this.time += (this.rate * (now - this._last)) / 1000;
     this._last = now;
-    this._round ??= this._show().finally(() => (this._round = null));
-    return this._round;
+    return this._begin();
   }
 
   /** Show the frames of a time. @param {number} seconds */
   async seek(seconds) {
     this.time = seconds;
     await this._round;
-    await (this._round ??= this._show().finally(() => (this._round = null)));
+    await this._begin();
+  }
+
+  /** Begin to show the frames of its time, unless a round of them runs. */
+  _begin() {
+    return (this._round ??= this._show().finally(() => (this._round = null)));
   }
 
   async _show() {
