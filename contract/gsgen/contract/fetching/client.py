@@ -166,7 +166,6 @@ class WebClient:
         Raises:
             FetchFailed: The file cannot be had; the subclass says why.
         """
-        data = io.BytesIO()
         part = FilePart(
             address=address,
             start=start,
@@ -174,10 +173,7 @@ class WebClient:
             max_bytes=max_bytes,
             max_undeclared=_MAX_UNDECLARED_BYTES,
         )
-        self._copy_response_body(
-            part, data, lambda received, _: on_bytes(received), deadline or self.deadline()
-        )
-        return data.getvalue()
+        return self._read_part(part, on_bytes, deadline)[0]
 
     def read_version(
         self,
@@ -199,22 +195,28 @@ class WebClient:
             on_bytes: As in :meth:`read`.
             deadline: As in :meth:`read`.
         """
-        data = io.BytesIO()
         part = FilePart(
             address=address,
             max_bytes=max_bytes,
             max_undeclared=_MAX_UNDECLARED_BYTES,
             validator=validator,
         )
+        data, response = self._read_part(part, on_bytes, deadline)
+        if response.status == 304:
+            return None, validator
+        version = response.getheader("ETag") or response.getheader("Last-Modified") or ""
+        is_ascii = version.isascii() and version.isprintable() and len(version) <= _MAX_VALIDATOR
+        may_keep = "no-store" not in response.getheader("Cache-Control", "").lower()
+        return data, version if is_ascii and may_keep else ""
+
+    def _read_part(
+        self, part: FilePart, on_bytes: ByteProgressCallback, deadline: Deadline | None
+    ) -> tuple[bytes, HTTPResponse]:
+        data = io.BytesIO()
         response = self._copy_response_body(
             part, data, lambda received, _: on_bytes(received), deadline or self.deadline()
         )
-        if response.status == 304:
-            return None, validator
-        told = response.getheader("ETag") or response.getheader("Last-Modified") or ""
-        is_plain = told.isascii() and told.isprintable() and len(told) <= _MAX_VALIDATOR
-        may_keep = "no-store" not in response.getheader("Cache-Control", "").lower()
-        return data.getvalue(), told if is_plain and may_keep else ""
+        return data.getvalue(), response
 
     def copy(
         self,
