@@ -1,8 +1,9 @@
 """How predicted states leave a path of constant speed, and which reading of them explains it."""
 
-__all__ = ["MAX_STEP_ERROR", "NEXT_STATES", "fault_of_steady_path"]
+__all__ = ["MAX_STEP_ERROR", "NEXT_STATES", "UNDOING_LINES", "W_LAST", "fault_of_steady_path"]
 
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,15 @@ _MAX_LATER_ERROR, _MAX_BRAKING = 0.5, 0.3
 NEXT_STATES = 5
 # Another reading of states explains a fault if it leaves at most this error: 0 to 0.1 where it does.
 _MAX_EXPLAINED_ERROR = 0.1
+_FARTHEST_FIRST: Final = "states come farthest first; nearest first is right"
+W_LAST: Final = "quaternions are written in the order x y z w"
+_INVERSES: Final = "quaternions are written as their inverses"
+UNDOING_LINES: Final = {
+    _FARTHEST_FIRST: "rows = rows.flip(0)",
+    W_LAST: "rows = rows[:, [0, 1, 2, 6, 3, 4, 5]]",
+    _INVERSES: "rows[:, 4:] = -rows[:, 4:]",
+}
+"""The line of torch that reads predicted states in another way, by the fault that it undoes."""
 # The largest drift of places where only the rotation moves, and of rotations where only the place
 # does, relative to their size: networks leave a little.
 _MAX_CROSS_DRIFT = 0.02
@@ -52,10 +62,10 @@ def fault_of_steady_path(
             return ""
         return f"it {'moves' if turning else 'turns'} too, by {drift:.2g} in the predicted states"
     # Explanations are tried: each is another reading, under which the same path goes on.
-    readings = {"states come farthest first; nearest first is right": future[::-1]}
+    readings = {_FARTHEST_FIRST: future[::-1]}
     if turning and future.shape[1] == STATE_SIZES["position+quaternion-wxyz"]:
-        readings["quaternions are written in the order x y z w"] = future[:, [0, 1, 2, 6, 3, 4, 5]]
-        readings["quaternions are written as their inverses"] = future * [1, 1, 1, 1, -1, -1, -1]
+        readings[W_LAST] = future[:, [0, 1, 2, 6, 3, 4, 5]]
+        readings[_INVERSES] = future * [1, 1, 1, 1, -1, -1, -1]
     for words, states in readings.items():
         explained = _step_errors(history, states, turning=turning, vertical=vertical)[0].max()
         if explained <= _MAX_EXPLAINED_ERROR:

@@ -42,12 +42,6 @@ _MAX_REST_POSE_DRIFT = 2e-3
 _DIVISION_HINT = (
     "A division by a speed, a length or a difference sees zero: add a small number to it."
 )
-# The lines that undo how predictions leave a path, by the words of the fault.
-_UNDOING_LINES = {
-    "states come farthest first; nearest first is right": "rows = rows.flip(0)",
-    "quaternions are written in the order x y z w": "rows = rows[:, [0, 1, 2, 6, 3, 4, 5]]",
-    "quaternions are written as their inverses": "rows[:, 4:] = -rows[:, 4:]",
-}
 
 
 @rule("GV060", Severity.ERROR, needs=(MODEL_RUNS, "GO019"), kinds=(TRAJECTORY,))
@@ -269,7 +263,11 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
         Add the newest state minus the one before it, per step; multiply rotations by the newest
         one times the inverse of the one before.
     """
-    from gsgen.contract.rules.behaviour.steady_paths import MAX_STEP_ERROR, fault_of_steady_path
+    from gsgen.contract.rules.behaviour.steady_paths import (
+        MAX_STEP_ERROR,
+        UNDOING_LINES,
+        fault_of_steady_path,
+    )
 
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
@@ -304,7 +302,7 @@ def straight_path_goes_on(behaviour: Behaviour) -> Iterator[Violation]:
                     f"the first state one step on, within {MAX_STEP_ERROR:g} of it; later ones go on "
                     "so, or brake gently"
                 )
-                line = line_hint(_UNDOING_LINES.get(fault, ""))
+                line = line_hint(UNDOING_LINES.get(fault, ""))
                 # The first state, one step before the oldest one: the newest was taken from there.
                 if fault.startswith(f"predicted state 1 is -{len(history)} steps on"):
                     name = next(e.name for e in manifest.inputs if e.role == "camera_history")
@@ -377,6 +375,8 @@ def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
         Multiply each predicted quaternion by the sign of its dot product with the state before it,
         the first one with the newest state of the history.
     """
+    from gsgen.contract.rules.behaviour.steady_paths import UNDOING_LINES, W_LAST
+
     manifest = probe_runs.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     future = manifest.outputs.future
@@ -393,7 +393,7 @@ def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
             wrong, number, expected = products < -_SIGN_SLACK, products, "at least 0"
             words = "dot product {:.3g} with the state before"
             if _written_with_w_last([states for states, _ in paths]):
-                words = f"quaternions are written in the order x y z w, not w x y z: {words}"
+                words = f"{W_LAST}, not w x y z: {words}"
         else:
             number = np.linalg.norm(rotations[1:], axis=1)
             wrong, expected = number > np.pi + _SIGN_SLACK, "at most π"
@@ -406,8 +406,8 @@ def predicted_rotations_continue(probe_runs: ProbeRuns) -> Iterator[Violation]:
                 products_text = f"(rows[:, 3:] * {history_name}[-1:, 3:]).sum(1, keepdim=True)"
                 hint = line_hint(f"rows[:, 3:] = rows[:, 3:] * {products_text}.sign()")
                 hint = f"Give all quaternions the sign of the newest state's. {hint}"
-            elif words.startswith("quaternions are written in the order x y z w"):
-                hint = line_hint(_UNDOING_LINES["quaternions are written in the order x y z w"])
+            elif words.startswith(W_LAST):
+                hint = line_hint(UNDOING_LINES[W_LAST])
             yield Violation.at(f"output {future.name}", actual, expected, hint=hint)
             return
 
